@@ -1,0 +1,31 @@
+"""The interface that every way to get Q has."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl import compute
+from pointnetkl.covariance import table
+from pointnetkl.submap import Submap
+
+
+class Method(Protocol):
+    """A way to get the covariance of a submap's registration."""
+
+    @property
+    def name(self) -> str:
+        """The method's name in every table."""
+
+    def covariance(self, submap: Submap) -> np.ndarray:
+        """Return Q, (2, 2) in m^2, in the submap's frame; every preprocessing step included."""
+
+
+def tabulate(methods: Sequence[Method], submaps: Sequence[Submap]) -> pd.DataFrame:
+    """Return the covariance table of every method for every submap of one survey."""
+    tables = []
+    for method in methods:
+        q = np.stack(compute.over(method.covariance, submaps, method.name))
+        tables.append(table.from_matrices(submaps[0].survey, method.name, [s.number for s in submaps], q))
+    return pd.concat(tables, ignore_index=True)

@@ -1,0 +1,33 @@
+"""Poses in the plane of a map, in SE(3) form.
+
+The map frame is local east, north, up. A submap's frame is levelled: x along the track, y to port, z up; its
+pose in the map is a position and a yaw, counter-clockwise from east. `T_map_submap` takes coordinates from the
+submap's frame to the map's: names are read right to left. Tangent vectors are rotation first, translation
+second, as in GTSAM's Pose3: (roll, pitch, yaw, x, y, z).
+"""
+
+import numpy as np
+
+
+def matrix(position: np.ndarray, yaw: float) -> np.ndarray:
+    """Return the 4 x 4 transform of a levelled frame at `position` (3,) metres, turned by `yaw` radians."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    T = np.eye(4)
+    T[:2, :2] = [[c, -s], [s, c]]
+    T[:3, 3] = position
+    return T
+
+
+def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return points (n, 3) taken through the 4 x 4 transform T."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def yaw_of(T: np.ndarray) -> float:
+    """Return the yaw of a transform, in radians."""
+    return float(np.arctan2(T[1, 0], T[0, 0]))
+
+
+def heading_to_yaw(heading: np.ndarray) -> np.ndarray:
+    """Turn compass headings (radians, clockwise from north) into yaws (counter-clockwise from east)."""
+    return np.arctan2(np.cos(heading), np.sin(heading))  # atan2(north part, east part)

@@ -1,0 +1,89 @@
+"""Sections of a parameter file as typed settings: a wrong type or an unknown name is refused, never guessed."""
+
+import dataclasses
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from pointnetkl.errors import PointNetKLError
+
+T = TypeVar("T")
+
+
+class SettingsError(PointNetKLError):
+    """A parameter is missing, unknown or of the wrong type."""
+
+
+def read(path: Path, section: str, kind: type[T]) -> T:
+    """Return one section of a YAML parameter file as the dataclass `kind`.
+
+    `section` may be dotted (`study.surveys.baltic`). Field types may be int, float, str, bool, another
+    dataclass, `list[...]`, `dict[str, ...]`, or a union of those with None.
+
+    Raises:
+        SettingsError: the file, section or a field is missing, unknown or of the wrong type.
+    """
+    value: Any = _load(path)
+    for name in section.split("."):
+        if not isinstance(value, dict) or name not in value:
+            known = ", ".join(value) if isinstance(value, dict) else "nothing"
+            raise SettingsError(f"{path}: there is no {section}; at {name!r} the file has {known}")
+        value = value[name]
+    return typing.cast(T, _convert(value, kind, f"{path}: {section}"))
+
+
+def as_metadata(settings: object) -> dict[str, Any]:
+    """Return a settings dataclass as plain values, for an artifact's metadata."""
+    return dataclasses.asdict(settings)  # type: ignore[call-overload,no-any-return]
+
+
+def _load(path: Path) -> Any:
+    try:
+        return yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from error
+    except yaml.YAMLError as error:
+        raise SettingsError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+
+
+def _convert(value: Any, kind: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(kind):
+        return _convert_section(value, kind, where)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        if value is None and type(None) in inner:
+            return None
+        return _convert(value, next(k for k in inner if k is not type(None)), where)
+    if origin is list and isinstance(value, list):
+        return [_convert(v, inner[0], f"{where}[{i}]") for i, v in enumerate(value)]
+    if origin is dict and isinstance(value, dict):
+        return {k: _convert(v, inner[1], f"{where}.{k}") for k, v in value.items()}
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    # an exact match, because bool passes for int
+    if type(value) is not kind:
+        raise SettingsError(_wrong_type(value, kind, where))
+    return value
+
+
+def _convert_section(value: Any, kind: Any, where: str) -> Any:
+    if not isinstance(value, dict):
+        raise SettingsError(f"{where} must be a group of settings, not {value!r}")
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    hints = typing.get_type_hints(kind)
+    if unknown := sorted(set(value) - set(fields)):
+        raise SettingsError(f"{where}.{unknown[0]} is unknown; it has {', '.join(fields)}")
+    required = {name for name, field in fields.items() if field.default is dataclasses.MISSING}
+    if missing := sorted(required - set(value)):
+        raise SettingsError(f"{where}.{missing[0]} is missing")
+    return kind(**{name: _convert(v, hints[name], f"{where}.{name}") for name, v in value.items()})
+
+
+def _wrong_type(value: Any, kind: Any, where: str) -> str:
+    wanted = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))
+    # YAML takes 1e-4 for text, and so does `-S`: the point is what makes it a number
+    hint = "; write it with a point, as 1.0e-4" if kind is float and isinstance(value, str) else ""
+    return f"{where} is {value!r}, must be {wanted}{hint}"

@@ -1,0 +1,66 @@
+"""Submaps: pieces of a survey of equal track length, thinned to an even spacing, in frames of their own."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pointnetkl.errors import PointNetKLError
+
+WHOLE, FIRST, SECOND = 0, 1, 2  # parts of a submap: all its pings, every other one, the others
+
+POINTS = pa.schema(
+    [("submap", pa.int32()), ("part", pa.int8())] + [(name, pa.float32()) for name in ("x_m", "y_m", "z_m")]
+)
+# Poses of submap frames in the map frame, by navigation: at the middle ping, levelled (roll = pitch = 0).
+POSES = pa.schema(
+    [
+        ("submap", pa.int32()),
+        ("time_s", pa.float64()),  # of the middle ping
+        ("x_m", pa.float64()),
+        ("y_m", pa.float64()),
+        ("z_m", pa.float64()),
+        ("yaw_rad", pa.float64()),
+        ("track_m", pa.float64()),
+        ("pings", pa.int32()),
+        ("soundings", pa.int32()),
+        ("line", pa.int32()),  # a turn or a gap starts a new line
+    ]
+)
+
+
+class SubmapError(PointNetKLError):
+    """A survey cannot be cut into submaps, or a submap cannot be used."""
+
+
+@dataclass(frozen=True)
+class Submap:
+    """A point cloud in its own levelled frame: x along track, y to port, z up, metres."""
+
+    survey: str
+    number: int
+    points: np.ndarray  # (n, 3) float64: the registration cloud
+    first: np.ndarray  # (n1, 3) the same ground from every other ping
+    second: np.ndarray  # (n2, 3) and from the others
+
+
+def from_table(survey: str, points: pd.DataFrame) -> list[Submap]:
+    """Return the submaps of a POINTS table, by number."""
+    return [_submap(survey, int(number), rows) for number, rows in points.groupby("submap", sort=True)]
+
+
+def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:
+    """Return submaps as a POINTS table."""
+    parts = [
+        pd.DataFrame({"submap": s.number, "part": part, "x_m": p[:, 0], "y_m": p[:, 1], "z_m": p[:, 2]})
+        for s in submaps
+        for part, p in ((WHOLE, s.points), (FIRST, s.first), (SECOND, s.second))
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def _submap(survey: str, number: int, rows: pd.DataFrame) -> Submap:
+    xyz, part = rows[["x_m", "y_m", "z_m"]].to_numpy(np.float64), rows["part"].to_numpy()
+    return Submap(survey, number, xyz[part == WHOLE], xyz[part == FIRST], xyz[part == SECOND])
