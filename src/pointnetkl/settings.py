@@ -37,7 +37,7 @@ def read(path: Path, section: str, kind: type[T]) -> T:
 
 def as_metadata(settings: object) -> dict[str, Any]:
     """Return a settings dataclass as plain values, for an artifact's metadata."""
-    return dataclasses.asdict(settings)  # type: ignore[call-overload,no-any-return]
+    return dataclasses.asdict(settings)  # type: ignore[call-overload]
 
 
 def _load(path: Path) -> Any:
