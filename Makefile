@@ -1,0 +1,29 @@
+# `make repro` runs the pipeline, `make test` the tests; each sets up .venv first when it is missing.
+PYTHON ?= python3
+export DVC_NO_ANALYTICS := 1
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help setup repro test lint clean
+
+help:  ## show this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+
+setup: .venv/complete  ## install into .venv, and nothing else
+
+.venv/complete: requirements.lock pyproject.toml tools/setup.sh
+	@PYTHON="$(PYTHON)" bash tools/setup.sh
+
+repro: .venv/complete  ## run what is out of date, from raw surveys to reports/index.html
+	@$(BIN)/python tools/repro.py
+
+test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among them
+	@$(BIN)/python -m pytest
+
+lint: .venv/complete  ## ruff, and mypy --strict on src
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+clean:  ## remove .venv (data, models and reports stay)
+	rm -rf .venv

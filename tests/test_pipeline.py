@@ -1,0 +1,86 @@
+"""The whole pipeline at smoke scale, end to end, and what happens when something changes."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from workspace import Workspace
+
+SCALE = (Path(__file__).parents[1] / "scales/smoke").read_text().split()
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """The smoke scale, run once: two training surveys and a test survey."""
+    workspace = Workspace(tmp_path_factory.mktemp("study"))
+    workspace.drop_surveys("shetland", "borno_1", "thwaites_11")
+    workspace.commit("three surveys")
+    workspace.run("dvc", "exp", "run", *SCALE, POINTNETKL_WORKERS="1")
+    workspace.commit("smoke")
+    return workspace
+
+
+def hashes(workspace: Workspace) -> dict[str, str]:
+    """Return the hash of every artifact in dvc.lock, but of what holds timings."""
+    lock = yaml.safe_load((workspace.folder / "dvc.lock").read_text())
+    timed = ("reports/runtime.json", "reports/tables/table_3", "reports/index.html")
+    return {
+        out["path"]: out["md5"]
+        for stage in lock["stages"].values()
+        for out in stage.get("outs", [])
+        if not out["path"].startswith(timed)
+    }
+
+
+def test_the_paper_s_tables_come_out(study: Workspace):
+    for number in range(1, 5):
+        text = (study.folder / f"reports/tables/table_{number}.md").read_text()
+        assert "borno_8" in text or number == 3
+    metrics = json.loads((study.folder / "reports/metrics.json").read_text())
+    assert metrics["slam"]["borno_8"]["corrupted"]["rmse_xyz_m"] > 0
+    assert metrics["kl"]["borno_8"]["pointnetkl"]["mean"] > 0
+
+
+def test_a_second_run_has_nothing_to_do_and_says_so_quickly(study: Workspace):
+    begun = time.monotonic()
+    output = study.run("dvc", "repro").stdout
+    assert study.ran(output) == []
+    assert "up to date" in output
+    assert time.monotonic() - begun < 60  # a hang would be worse than slow; the README tells the measured time
+
+
+def test_changing_slam_reruns_slam_and_the_report_only(study: Workspace):
+    study.edit("params.yaml", "yaw_sigma_rad: 0.01", "yaw_sigma_rad: 0.02")
+    assert study.ran(study.run("dvc", "repro").stdout) == ["slam@borno_8", "report"]
+    difference = study.run("dvc", "metrics", "diff").stdout
+    assert "slam.borno_8.corrupted.rmse_xyz_m" in difference
+    assert "slam.yaw_sigma_rad" in study.run("dvc", "params", "diff").stdout
+    study.edit("params.yaml", "yaw_sigma_rad: 0.02", "yaw_sigma_rad: 0.01")
+    study.run("dvc", "repro")
+
+
+def test_another_clean_run_with_other_workers_gives_the_same_bytes(study: Workspace, tmp_path: Path):
+    again = Workspace(tmp_path)
+    for name in ("params.yaml",):
+        (again.folder / name).write_text((study.folder / name).read_text())
+    again.run("dvc", "repro", POINTNETKL_WORKERS="3")
+    assert hashes(again) == hashes(study)
+
+
+def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(study: Workspace):
+    # raw pings under another name stand for a user's file; nothing is known of its truth
+    study.run("cp", "-r", "data/raw/borno_8", "data/raw/mine")
+    study.edit(
+        "params.yaml",
+        "  test: &test\n",
+        "  test: &test\n    mine: {raw: data/raw/mine, truth: data/none, submap_length_m: 60, point_spacing_m: 3.2, label_runs: 20}\n",
+    )
+    ran = study.run("dvc", "repro").stdout
+    own = ("ingest", "segment", "voxelise", "label", "estimate", "predict", "graph", "slam")
+    assert sorted(study.ran(ran)) == sorted([*(f"{stage}@mine" for stage in own), "report"])
+    metrics = json.loads((study.folder / "reports/metrics.json").read_text())
+    assert metrics["datasets"]["mine"]["simulated"] is False
+    assert metrics["slam"]["mine"]["pointnetkl"]["rmse_xyz_m"] >= 0
+    assert "mine" in (study.folder / "reports/tables/table_1.md").read_text()
