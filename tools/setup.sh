@@ -5,10 +5,9 @@ cd "$(dirname "$0")/.."
 PYTHON=${PYTHON:-python3}
 
 missing=()
-has_library() {  # by its file name, wherever the loader looks; without ldconfig, in the usual folders
-  { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || find /lib /usr/lib /usr/local/lib -name "$1" 2>/dev/null; } |
-    grep -qF "$1"
-}
+# read once: a pipe into grep -q would fail now and then, as grep leaves before ldconfig ends
+libraries=$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || find /lib /usr/lib /usr/local/lib -name '*.so*')
+has_library() { grep -qF "$1" <<<"$libraries"; }
 if [ "$(uname -s)" = Linux ]; then
   command -v git >/dev/null || missing+=(git)
   command -v make >/dev/null || missing+=(make)

@@ -1,9 +1,10 @@
 """Reading and writing of artifacts: Parquet tables and npz arrays, atomic, checked, the same bytes each time."""
 
+import contextlib
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,47 +23,85 @@ class ArtifactError(PointNetKLError):
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a reader never sees half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a file whole or not at all: a reader never sees half of it.
+
+    Raises:
+        ArtifactError: the file cannot be written; what stood there before still does.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(content)
         os.replace(partial, path)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be written ({error.strerror})") from error
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # most often it is not there any more
+            partial.unlink()
 
 
-def write_table(path: Path, frame: pd.DataFrame, schema: pa.Schema, metadata: Mapping[str, Any]) -> None:
-    """Write a table with exactly the schema's columns, and the parameters that made it as metadata."""
-    text = json.dumps(metadata, sort_keys=True).encode()
-    table = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
+def is_none(path: Path) -> bool:
+    """Whether a file stands for an input that there is not, as data/none does: it is empty or begins with `none`."""
+    with path.open("rb") as file:
+        return file.read(4) in (b"", b"none")
+
+
+def write_table(
+    path: Path, frame: pd.DataFrame, schema: pa.Schema, metadata: Mapping[str, Any], crs: str | None = None
+) -> None:
+    """Write a table with exactly the schema's columns, and the parameters that made it as metadata.
+
+    `crs` gets a key of its own, where a reader of raw pings from anywhere looks for it.
+
+    Raises:
+        ArtifactError: the frame lacks a column or has one of another type, or the file cannot be written.
+    """
+    keys = {_KEY: json.dumps(metadata, sort_keys=True).encode()} | ({b"crs": crs.encode()} if crs else {})
+    try:
+        table = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
+    except (KeyError, pa.ArrowException) as error:
+        raise ArtifactError(f"{path}: the table to write does not have its columns ({_line(error)})") from error
     buffer = io.BytesIO()
-    # fixed row groups: the bytes must not depend on the machine's memory
-    pq.write_table(table.replace_schema_metadata({_KEY: text}), buffer, row_group_size=1 << 20, compression="zstd")
+    # fixed row groups: the bytes must not depend on the machine's memory; checksums: a flipped bit is found
+    pq.write_table(
+        table.replace_schema_metadata(keys),
+        buffer,
+        row_group_size=1 << 20,
+        compression="zstd",
+        write_page_checksum=True,
+    )
     write_bytes(path, buffer.getvalue())
 
 
-def read_table(path: Path, schema: pa.Schema) -> pd.DataFrame:
-    """Read a table and check its columns.
+def read_table(path: Path, schema: pa.Schema, only: Sequence[tuple[str, str, Any]] | None = None) -> pd.DataFrame:
+    """Read a table and check its columns; `only` keeps rows, as [("ping", "<", 100)] does.
 
     Raises:
-        ArtifactError: the file is missing or damaged, or lacks a column of the schema.
+        ArtifactError: the file is missing or damaged, or lacks a column of the schema or values in one.
     """
-    table = _open_table(path)
-    if missing := [name for name in schema.names if name not in table.column_names]:
+    rows = list(only) if only else None
+    table = _guarded(path, lambda: pq.read_table(path, filters=rows, page_checksum_verification=True))
+    stored = _guarded(path, lambda: table.column_names)  # damaged names are found only here
+    if missing := [name for name in schema.names if name not in stored]:
         raise ArtifactError(f"{path}: lacks the column {missing[0]}; was it made by another stage?")
     try:
-        return table.select(schema.names).cast(schema).to_pandas()
+        table = table.select(schema.names).cast(schema)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise ArtifactError(f"{path}: a column has the wrong type ({_line(error)})") from error
+    # pandas would turn whole numbers with a gap among them into floats; a float's gap is NaN
+    if gaps := [f.name for f in schema if pa.types.is_integer(f.type) and table[f.name].null_count]:
+        raise ArtifactError(f"{path}: the column {gaps[0]} has an empty value; was it made by another stage?")
+    return table.to_pandas()
 
 
 def table_metadata(path: Path) -> dict[str, Any]:
-    """Return the parameters stored with a table."""
-    stored = (_open_table(path).schema.metadata or {}).get(_KEY, b"{}")
-    return dict(json.loads(stored))
+    """Return the parameters stored with a table; nothing where another program wrote it.
+
+    Raises:
+        ArtifactError: the file is missing or damaged.
+    """
+    stored = (_guarded(path, lambda: pq.read_schema(path)).metadata or {}).get(_KEY, b"{}")
+    return _object(path, stored)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
@@ -89,27 +128,46 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON with sorted keys; NaN is refused, because JSON has none."""
-    write_bytes(path, (json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n").encode())
+    """Write JSON with sorted keys.
+
+    Raises:
+        ArtifactError: a number is NaN or infinite, which JSON has not, or the file cannot be written.
+    """
+    try:
+        text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
+    except ValueError as error:
+        raise ArtifactError(f"{path}: a number to write is NaN or infinite, which JSON does not have") from error
+    write_bytes(path, (text + "\n").encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object."""
+    """Read a JSON object.
+
+    Raises:
+        ArtifactError: the file is missing or damaged, or holds something else.
+    """
+    return _object(path, _guarded(path, path.read_bytes))
+
+
+def _object(path: Path, text: bytes) -> dict[str, Any]:
     try:
-        return dict(json.loads(path.read_text()))
-    except FileNotFoundError as error:
-        raise ArtifactError(f"{path}: is missing; run the stage that makes it (dvc repro)") from error
+        content = json.loads(text)
     except ValueError as error:
         raise ArtifactError(f"{path}: is damaged ({_line(error)}); delete it and run dvc repro") from error
+    if not isinstance(content, dict):
+        raise ArtifactError(
+            f"{path}: holds a {type(content).__name__}, not a JSON object; delete it and run dvc repro"
+        )
+    return content
 
 
-def _open_table(path: Path) -> pa.Table:
+def _guarded(path: Path, reading: Callable[[], Any]) -> Any:
     try:
-        return pq.read_table(path)
+        return reading()
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: is missing; run the stage that makes it (dvc repro)") from error
-    except (pa.ArrowException, OSError) as error:
-        raise ArtifactError(f"{path}: is not a readable Parquet file ({_line(error)})") from error
+    except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no UTF-8
+        raise ArtifactError(f"{path}: cannot be read ({_line(error)}); delete it and run dvc repro") from error
 
 
 def _line(error: Exception) -> str:

@@ -25,7 +25,7 @@ def workers() -> int:
     asked = os.environ.get("POINTNETKL_WORKERS")
     if asked is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not asked.isdigit() or int(asked) < 1:
+    if not asked.isdecimal() or int(asked) < 1:
         raise ComputeError(f"POINTNETKL_WORKERS is {asked!r}, must be a whole number of at least 1")
     return int(asked)
 

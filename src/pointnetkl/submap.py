@@ -26,13 +26,13 @@ POSES = pa.schema(
         ("track_m", pa.float64()),
         ("pings", pa.int32()),
         ("soundings", pa.int32()),
-        ("line", pa.int32()),  # a turn or a gap starts a new line
+        ("line", pa.int32()),  # a gap, or a turn that was not logged, starts a new line
     ]
 )
 
 
 class SubmapError(PointNetKLError):
-    """A survey cannot be cut into submaps, or a submap cannot be used."""
+    """A submap cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:
         for s in submaps
         for part, p in ((WHOLE, s.points), (FIRST, s.first), (SECOND, s.second))
     ]
-    return pd.concat(parts, ignore_index=True)
+    return pd.concat(parts, ignore_index=True) if parts else POINTS.empty_table().to_pandas()
 
 
 def _submap(survey: str, number: int, rows: pd.DataFrame) -> Submap:

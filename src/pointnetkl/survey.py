@@ -56,3 +56,17 @@ class Survey:
 def track_length(pings: pd.DataFrame) -> float:
     """Return the length of the track through the pings, in metres (horizontal)."""
     return float(np.hypot(np.diff(pings["x_m"]), np.diff(pings["y_m"])).sum())
+
+
+def summary(survey: Survey) -> str:
+    """Return in a line what a survey holds and what of the raw data was left out; a line more for each damage."""
+    good = survey.soundings["z_m"][survey.soundings["quality"] == 0]
+    # from the 1st to the 99th percentile, because a single wrong sounding would set the range
+    depths = "depth {:.1f} to {:.1f} m".format(*np.quantile(-good, [0.01, 0.99])) if len(good) else "no depth"
+    skipped = ", ".join(f"{count} {reason}" for reason, count in survey.report.get("skipped", {}).items())
+    damage = "".join(f"\n  {problem}" for problem in survey.report.get("problems", []))
+    return (
+        f"{len(survey.pings)} pings, {len(survey.soundings)} soundings, {len(good)} valid,"
+        f" track {track_length(survey.pings) / 1000:.3f} km, {depths}, {survey.crs};"
+        f" skipped: {skipped or 'nothing'}{damage}"
+    )

@@ -8,7 +8,7 @@ import pandas as pd
 
 from pointnetkl import compute
 from pointnetkl.covariance import table
-from pointnetkl.submap import Submap
+from pointnetkl.submap import Submap, SubmapError
 
 
 class Method(Protocol):
@@ -23,7 +23,14 @@ class Method(Protocol):
 
 
 def tabulate(methods: Sequence[Method], submaps: Sequence[Submap]) -> pd.DataFrame:
-    """Return the covariance table of every method for every submap of one survey."""
+    """Return the covariance table of every method for every submap of one survey, by method and submap.
+
+    Raises:
+        SubmapError: there are no submaps.
+        CovarianceError: a method's answer is not a covariance.
+    """
+    if not submaps:
+        raise SubmapError("there are no submaps to get covariances of; did segment keep any of this survey?")
     tables = []
     for method in methods:
         q = np.stack(compute.over(method.covariance, submaps, method.name))

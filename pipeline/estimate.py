@@ -1,0 +1,30 @@
+"""Covariances of a survey's submaps by the methods that need only the submap, its labels or a few registrations."""
+
+import argparse
+from pathlib import Path
+
+from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
+from pointnetkl.covariance import estimated, method, table
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Write the survey's covariance table."""
+    chosen = settings.read(arguments.params, "estimate", estimated.Settings)
+    label = settings.read(arguments.params, "label", monte_carlo.Settings)
+    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
+    labels = artifacts.read_table(arguments.labels, monte_carlo.LABELS)
+    covariances = method.tabulate(estimated.methods(labels, chosen, label, registration), submaps)
+    parameters = {"estimate": chosen, "label": label, "registration": registration}
+    params = {section: settings.as_metadata(values) for section, values in parameters.items()}
+    metadata = {"survey": arguments.survey, "params": params}
+    artifacts.write_table(arguments.covariances, covariances, table.SCHEMA, metadata)
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__)
+    parser.add_argument("survey")
+    parser.add_argument("--submaps", type=Path, required=True)
+    parser.add_argument("--labels", type=Path, required=True)
+    parser.add_argument("--covariances", type=Path, required=True)
+    command.run(main, parser)

@@ -1,0 +1,56 @@
+"""Build a survey's pose graph: GT from navigation, then the loop closures of Algorithm 1."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pointnetkl import (
+    artifacts,
+    command,
+    gicp,
+    graph_construction,
+    loop_closure,
+    monte_carlo,
+    settings,
+    submap,
+    survey,
+    survey_graph,
+)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Read submaps, poses, labels and truth; write the graph, and how it fared as its metadata."""
+    name = arguments.survey
+    graph = settings.read(arguments.params, "graph", loop_closure.Settings)
+    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
+    poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
+    labels = artifacts.read_table(arguments.labels, monte_carlo.LABELS)
+    q = graph_construction.label_covariances(labels, name)
+    truth = graph_construction.truth_at(
+        poses["time_s"].to_numpy(), artifacts.read_table(arguments.truth, survey.TRAJECTORY)
+    )
+    spacing = float(np.median(labels["spacing_m"]))
+    made = graph_construction.build(
+        name, submaps, graph_construction.poses(poses), truth, q, spacing, graph, registration
+    )
+    metadata = {
+        "survey": name,
+        "spacing_m": spacing,
+        "graph": settings.as_metadata(graph),
+        "registration": settings.as_metadata(registration),
+        "summary": survey_graph.summary(made),
+    }
+    artifacts.write_arrays(arguments.graph, survey_graph.to_arrays(made), metadata)
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__)
+    parser.add_argument("survey", help="name of the survey")
+    parser.add_argument("--submaps", type=Path, required=True, help="points of its submaps")
+    parser.add_argument("--poses", type=Path, required=True, help="their poses by navigation")
+    parser.add_argument("--labels", type=Path, required=True, help="their Monte Carlo covariances")
+    parser.add_argument("--truth", type=Path, required=True, help="true trajectory; no rows where it is not known")
+    parser.add_argument("--graph", type=Path, required=True, help="graph to write")
+    command.run(main, parser)

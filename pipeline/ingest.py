@@ -1,0 +1,37 @@
+"""Read a raw survey of any supported format into pings and soundings in a local map frame."""
+
+import argparse
+from pathlib import Path
+
+from pointnetkl import artifacts, command, readers, settings, survey
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Read the raw files and the truth; write pings, soundings and truth in one map frame."""
+    how = settings.read(arguments.params, "ingest", readers.Settings)
+    found = readers.read(arguments.raw, how.utm_zone)
+    truth = readers.read_truth(arguments.truth, found)
+    metadata = {
+        "survey": arguments.survey,
+        "crs": found.crs,
+        "origin": list(found.origin),
+        "report": found.report,
+        "params": settings.as_metadata(how),
+    }
+    tables = {
+        "pings": (found.pings, survey.PINGS),
+        "soundings": (found.soundings, survey.SOUNDINGS),
+        "truth": (truth, survey.TRAJECTORY),
+    }
+    for name, (table, schema) in tables.items():
+        artifacts.write_table(arguments.out / f"{name}.parquet", table, schema, metadata)
+    print(f"{arguments.survey}: {survey.summary(found)}")
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__ or "")
+    parser.add_argument("survey", metavar="SURVEY", help="the survey's name in study.surveys")
+    parser.add_argument("--raw", type=Path, required=True, help="raw file, or folder of raw files")
+    parser.add_argument("--truth", type=Path, required=True, help="true trajectory; data/none says unknown")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write the tables to")
+    command.run(main, parser)

@@ -1,0 +1,27 @@
+"""The paper's tables and figures beside ours, metrics.json, and one page that shows them all."""
+
+import argparse
+from pathlib import Path
+
+from pointnetkl import artifacts, command, report, settings, study, summary
+from pointnetkl.results import Folders
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Read every stage's artifacts, write the report, print what matters most of it."""
+    chosen = settings.read(arguments.params, "report", summary.Settings)
+    simulate = settings.read(arguments.params, "simulate", dict)
+    folders = Folders(arguments.data, arguments.models, arguments.reports)
+    made = report.make(folders, study.read(arguments.params), simulate, chosen)
+    for name, content in made.files.items():
+        artifacts.write_bytes(arguments.reports / name, content)
+    print(*made.lines, sep="\n")
+    print(f"The report: {arguments.reports / 'index.html'}")
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="what the stages made of the surveys")
+    parser.add_argument("--models", type=Path, required=True, help="fits.json")
+    parser.add_argument("--reports", type=Path, required=True, help="results; the report goes there too")
+    command.run(main, parser)

@@ -1,0 +1,35 @@
+"""Sail a simulated survey: raw pings as a sonar would log them, a file a line, and the true trajectory."""
+
+import argparse
+from pathlib import Path
+
+import pandas as pd
+
+from pointnetkl import artifacts, command, settings, simulation
+from pointnetkl.simulation import vehicle
+from pointnetkl.survey import TRAJECTORY
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Write one Parquet file a line and the truth."""
+    chosen = settings.read(arguments.params, f"simulate.{arguments.survey}", simulation.Settings)
+    craft = settings.read(arguments.params, f"vehicles.{chosen.vehicle}", vehicle.Settings)
+    terrain = simulation.ground(chosen)
+    metadata = {"survey": arguments.survey, "simulate": settings.as_metadata(chosen)}
+    metadata["vehicle"] = settings.as_metadata(craft)
+    for stale in arguments.raw.glob("line_*.parquet"):  # of an earlier run with more lines
+        stale.unlink()
+    truth = []
+    for number, line in enumerate(simulation.survey(chosen, craft, terrain)):
+        path = arguments.raw / f"line_{number:03d}.parquet"
+        artifacts.write_table(path, line.raw, simulation.RAW, metadata, crs=terrain.crs)
+        truth.append(line.truth)
+    artifacts.write_table(arguments.truth, pd.concat(truth), TRAJECTORY, metadata, crs=terrain.crs)
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__ or "")
+    parser.add_argument("survey", help="an entry of section `simulate`")
+    parser.add_argument("--raw", type=Path, required=True, help="folder for the raw pings")
+    parser.add_argument("--truth", type=Path, required=True, help="file for the true trajectory")
+    command.run(main, parser)

@@ -1,0 +1,61 @@
+"""Seconds per submap of every method, on one thread, over submaps of the paper's size (Table III)."""
+# ruff: noqa: E402
+
+import os
+
+# before NumPy, numba and torch are imported, which read these once
+for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+    os.environ[f"{library}_NUM_THREADS"] = "1"
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pointnetkl import artifacts, command, gicp, monte_carlo, runtime, settings, simulation
+from pointnetkl.covariance import constant, estimated, learned, pointnetkl, sampled
+from pointnetkl.covariance.method import Method
+from pointnetkl.simulation import seabed
+from pointnetkl.submap import Submap
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Time every method, write the means and standard deviations and print them."""
+    chosen = settings.read(arguments.params, "time", runtime.Settings)
+    terrain = settings.read(arguments.params, f"simulate.{chosen.terrain}.terrain", seabed.Settings)
+    submaps = [draw(chosen, terrain, number) for number in range(chosen.submaps)]
+    timings = {m.name: runtime.measure(m, submaps) for m in methods(arguments, chosen)}
+    for name, each in timings.items():
+        print(f"{name}: {each.mean_s:.3g} s +- {each.std_s:.2g} s a submap")
+    entries = {name: settings.as_metadata(each) for name, each in timings.items()}
+    machine = {**runtime.machine(), "params": settings.as_metadata(chosen)}
+    artifacts.write_json(arguments.runtime, {**entries, "machine": machine})
+
+
+def draw(chosen: runtime.Settings, terrain: seabed.Settings, number: int) -> Submap:
+    """Return one of the submaps to time on."""
+    rng = np.random.default_rng([chosen.seed, number])
+    return runtime.submap(simulation.patch(terrain, chosen.points, chosen.spacing_m, rng), number)
+
+
+def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Method]:
+    """Return every method; the constant's value does not matter to its time."""
+    label = settings.read(arguments.params, "label", monte_carlo.Settings)
+    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    return [
+        sampled.Sampled("monte_carlo", chosen.runs, chosen.seed, label, registration),
+        constant.Constant("constant", label.prior_variance_m2 * np.eye(2)),
+        *estimated.without_labels(
+            settings.read(arguments.params, "estimate", estimated.Settings), label, registration
+        ),
+        *learned.methods(learned.read(arguments.fits), registration),
+        pointnetkl.load(arguments.model),
+    ]
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__)
+    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--fits", type=Path, required=True)
+    parser.add_argument("--runtime", type=Path, required=True)
+    command.run(main, parser)

@@ -1,0 +1,33 @@
+"""Make of every submap the cloud that the network sees: zero-mean, in the unit sphere, one point a voxel."""
+
+import argparse
+from pathlib import Path
+
+from pointnetkl import artifacts, command, compute, settings, submap, voxel
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Read a survey's submaps; write their clouds."""
+    how = settings.read(arguments.params, "voxelise", voxel.Settings)
+    submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
+    clouds = voxel.Clouds.of(
+        [one.number for one in submaps],
+        compute.over(
+            lambda one: voxel.canonical(one.points, how.voxel, f"{one.survey}, submap {one.number}"),
+            submaps,
+            "voxelise",
+        ),
+    )
+    metadata = {"survey": arguments.name, "params": {"voxelise": settings.as_metadata(how)}}
+    artifacts.write_arrays(arguments.clouds, clouds.to_arrays(), metadata)
+    print(
+        f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}"
+    )
+
+
+if __name__ == "__main__":
+    parser = command.parser(__doc__)
+    parser.add_argument("name", metavar="SURVEY", help="the survey's name in study.surveys")
+    parser.add_argument("--submaps", type=Path, required=True, help="points of the submaps, Parquet")
+    parser.add_argument("--clouds", type=Path, required=True, help="clouds to write, npz")
+    command.run(main, parser)

@@ -1,0 +1,50 @@
+"""The methods that need only the submap, its labels or a few registrations: a new one joins by a line here."""
+
+from dataclasses import dataclass
+
+import pandas as pd
+
+from pointnetkl import gicp, monte_carlo
+from pointnetkl.covariance import constant, labelled, naive_gicp, sampled, table
+from pointnetkl.covariance.method import Method
+from pointnetkl.settings import require_seed
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `estimate` of the parameters.
+
+    Raises:
+        ValueError: fewer than 3 registrations, whose covariance may be singular, or the same number twice.
+    """
+
+    seed: int
+    sampled_runs: list[int]  # registrations of each mc_<runs>
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require_seed(self.seed)
+        if min(self.sampled_runs, default=3) < 3 or len(set(self.sampled_runs)) < len(self.sampled_runs):
+            raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at least 3 and stand once")
+
+
+def methods(
+    labels: pd.DataFrame, settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings
+) -> list[Method]:
+    """Return the methods for one survey, whose label table (monte_carlo.LABELS) is given."""
+    return [
+        labelled.from_table("monte_carlo", labels),
+        constant.mean("constant", table.to_matrices(labels)),
+        *without_labels(settings, label, registration),
+    ]
+
+
+def without_labels(settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings) -> list[Method]:
+    """Return those of the methods that no label is needed for."""
+    return [
+        naive_gicp.NaiveGicp(registration),
+        *(
+            sampled.Sampled(f"mc_{runs}", runs, settings.seed, label, registration)
+            for runs in settings.sampled_runs
+        ),
+    ]

@@ -1,0 +1,41 @@
+"""Covariances that stand in a label table: Monte Carlo itself, the gold standard."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl.covariance import table
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.submap import Submap
+
+
+class LabelledError(PointNetKLError):
+    """A submap has no label."""
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """The label of the submap, of one survey."""
+
+    name: str
+    labels: Mapping[int, np.ndarray]  # by submap number: (2, 2) m^2
+
+    def covariance(self, submap: Submap) -> np.ndarray:
+        """Return the submap's label, (2, 2) m^2.
+
+        Raises:
+            LabelledError: the submap has none.
+        """
+        if submap.number not in self.labels:
+            raise LabelledError(
+                f"{submap.survey}, submap {submap.number}: has no label, though {len(self.labels)} submaps have;"
+                f" run dvc repro label@{submap.survey}"
+            )
+        return self.labels[submap.number]
+
+
+def from_table(name: str, labels: pd.DataFrame) -> Labelled:
+    """Return the labels of one survey's table (columns submap, q_xx_m2, q_xy_m2, q_yy_m2)."""
+    return Labelled(name, dict(zip(labels["submap"].astype(int), table.to_matrices(labels), strict=True)))

@@ -1,0 +1,28 @@
+"""A few independent draws of the label's own estimator: Monte Carlo as a method, by its number of registrations."""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointnetkl import gicp, monte_carlo
+from pointnetkl.submap import Submap
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Monte Carlo with `runs` registrations of the submap, drawn apart from those of its label."""
+
+    name: str
+    runs: int
+    seed: int
+    label: monte_carlo.Settings
+    registration: gicp.Settings
+
+    def covariance(self, submap: Submap) -> np.ndarray:
+        """Return Q, (2, 2) m^2, the same whatever the order of submaps and the number of workers."""
+        # one number more than a label's seed has: the draws differ even where the two stages' seeds agree
+        rng = np.random.default_rng([self.seed, zlib.crc32(submap.survey.encode()), submap.number, self.runs])
+        return monte_carlo.covariance(
+            monte_carlo.errors(submap, self.runs, rng, self.label, self.registration).errors
+        )

@@ -1,0 +1,93 @@
+"""The figures of a report: what of the results each one shows."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pointnetkl import maps, plots, pose, results, voxel
+from pointnetkl.results import Folders, Test
+
+SHOWN = ("gt", "corrupted", "monte_carlo", "pointnetkl")  # trajectories, as far as they are there
+_SWATH_M = (500.0, 40.0)  # of the paper's Fig. 2
+_STEP_M = 50.0  # between the stretches looked at for one that is straight
+_CANONICAL = ("baltic", "borno_1")  # of the paper's Fig. 3
+_CANONICAL_POINTS = 25_000  # drawn of each survey's: more only blacken the figure
+
+
+def swath(folders: Folders, name: str) -> Figure:
+    """Draw the first straight piece of a survey's swath, as long and wide as the paper's."""
+    pings = results.read_pings(folders, name)
+    first, last = straight_stretch(pings[["x_m", "y_m"]].to_numpy(), _SWATH_M[0])
+    start, end = pings.iloc[first], pings.iloc[last]
+    soundings = results.read_soundings(folders, name, int(start["ping"]), int(end["ping"]))
+    yaw = float(np.arctan2(end["y_m"] - start["y_m"], end["x_m"] - start["x_m"]))
+    T_map_stretch = pose.matrix(np.array([start["x_m"], start["y_m"], 0.0]), yaw)
+    points = pose.transform(np.linalg.inv(T_map_stretch), soundings)
+    inside = (np.abs(points[:, 1]) <= _SWATH_M[1] / 2) & (points[:, 0] >= 0) & (points[:, 0] <= _SWATH_M[0])
+    return maps.swath(points[inside], name)
+
+
+def straight_stretch(track: np.ndarray, length_m: float) -> tuple[int, int]:
+    """Return the first and last ping of a track's (n, 2) first straight stretch, a shorter one if there is none."""
+    along = np.concatenate([[0.0], np.hypot(*np.diff(track, axis=0).T).cumsum()])
+    starts = np.searchsorted(along, np.arange(0.0, max(along[-1] - length_m, 0.0) + 1e-9, _STEP_M))
+    ends = np.minimum(np.searchsorted(along, along[starts] + length_m), len(track) - 1)
+    straightness = np.hypot(*(track[ends] - track[starts]).T) / np.maximum(along[ends] - along[starts], 1e-9)
+    good = np.flatnonzero(straightness > 0.99)
+    if not len(good) and length_m > _STEP_M:
+        return straight_stretch(track, length_m / 2)
+    best = int(good[0]) if len(good) else int(straightness.argmax())
+    return int(starts[best]), int(ends[best])
+
+
+def canonical(clouds: Mapping[str, voxel.Clouds], rng: np.random.Generator) -> Figure:
+    """Draw the normalised clouds of the paper's two surveys, or else of the first two."""
+    names = [name for name in _CANONICAL if name in clouds] or list(clouds)[:2]
+    return maps.canonical({name: _some(clouds[name].points, _CANONICAL_POINTS, rng) for name in names})
+
+
+def bathymetry(folders: Folders, tests: Mapping[str, Test], spacing_m: Mapping[str, float]) -> Figure:
+    """Draw the test surveys' depth maps: every submap at its GT pose; `spacing_m` is that of their points."""
+    placed = {}
+    for name, test in tests.items():
+        clouds, _ = results.read_points(folders, name)
+        points = [pose.transform(T, cloud) for T, cloud in zip(test.gt, clouds, strict=True)]
+        placed[name] = (np.concatenate(points), spacing_m[name])
+    return maps.bathymetry(placed)
+
+
+def trajectories(tests: Mapping[str, Test]) -> Figure:
+    """Draw each test survey's graph at GT, corrupted, and solved."""
+    return maps.trajectories({name: _graph(test) for name, test in tests.items()})
+
+
+def charts(
+    kl: pd.DataFrame,
+    calibration: pd.DataFrame,
+    slam: pd.DataFrame,
+    runtime: Mapping[str, Any],
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the charts of the test surveys' tables (`tables.divergences` and so on), by name."""
+    seconds = {name: times["mean_s"] for name, times in runtime.items() if "mean_s" in times}
+    yield "kl", plots.divergence(kl)
+    yield "calibration", plots.calibration(calibration)
+    yield "slam", plots.slam_error(slam[~slam["method"].isin(["gt"])])
+    yield "accuracy_time", plots.accuracy_time(kl, seconds)
+
+
+def _graph(test: Test) -> maps.Graph:
+    rows = {str(which): part for which, part in test.trajectories.groupby("which")}
+    positions = {
+        which: rows[which].sort_values("submap")[["x_m", "y_m"]].to_numpy() for which in SHOWN if which in rows
+    }
+    before = np.arange(len(test.gt) - 1)
+    return maps.Graph(positions, np.stack([before, before + 1], -1), test.loop_closures)
+
+
+def _some(points: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:
+    if len(points) <= most:
+        return points
+    return points[np.sort(rng.choice(len(points), most, replace=False))]

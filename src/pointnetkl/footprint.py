@@ -1,0 +1,50 @@
+"""Footprints of submaps as occupied cells of a map grid, and which earlier ones cover a new one."""
+
+import numpy as np
+
+
+def cells(points: np.ndarray, cell: float) -> np.ndarray:
+    """Return the cells that hold points (n, 2 or 3) in the map frame, as sorted unique keys; `cell` in metres."""
+    return np.unique(keys(points, cell))
+
+
+def keys(points: np.ndarray, cell: float) -> np.ndarray:
+    """Return the key of the cell of each point (n, 2 or 3): an int64 of its column and row."""
+    column, row = np.floor(points[:, :2].T / cell).astype(np.int64)
+    return (column << 32) + row  # one to one while |row| < 2^31
+
+
+def coverage(covered: np.ndarray, covering: np.ndarray) -> float:
+    """Return the share of one footprint's cells that another one has too; keys as made by `cells`."""
+    place = np.minimum(np.searchsorted(covering, covered), len(covering) - 1)
+    return float(np.mean(covering[place] == covered))
+
+
+class Footprints:
+    """The footprints of the submaps in a map so far, in the order they were added."""
+
+    def __init__(self, cell: float) -> None:
+        """Begin an empty map with cells of `cell` metres."""
+        self._cell = cell
+        self._cells: list[np.ndarray] = []
+        self._bounds: list[np.ndarray] = []
+
+    def add(self, points: np.ndarray) -> None:
+        """Add the footprint of points (n, 3) in the map frame."""
+        self._cells.append(cells(points, self._cell))
+        self._bounds.append(_bounds(points))
+
+    def covering(self, points: np.ndarray, share: float, among: int) -> np.ndarray:
+        """Return which of the first `among` footprints cover at least `share` of that of points (n, 3)."""
+        if among < 1:
+            return np.empty(0, np.int64)
+        footprint, (low_x, low_y, high_x, high_y) = cells(points, self._cell), _bounds(points)
+        low, high = np.hsplit(np.array(self._bounds[:among]), 2)
+        # most submaps of a long survey lie elsewhere, and their cells need not be looked at
+        near = ((low <= [high_x, high_y]) & (high >= [low_x, low_y])).all(axis=1)
+        found = [k for k in np.flatnonzero(near) if coverage(footprint, self._cells[k]) >= share]
+        return np.array(found, np.int64)
+
+
+def _bounds(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])

@@ -1,0 +1,43 @@
+"""Who is near whom: neighbour lists within a cloud, and a grid of buckets in x and y for matching clouds."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+# Cells per point at most: enough for the empty corners of a diagonal track, and a bound on memory.
+_CELLS_PER_POINT = 16
+
+
+class Grid(NamedTuple):
+    """Buckets in x and y over points sorted by bucket; cell (column, row) holds starts[c * rows + r] onwards."""
+
+    starts: np.ndarray  # (columns * rows + 1,) int32
+    x0: np.float32  # corner, metres
+    y0: np.float32
+    cell: np.float32  # edge, metres
+    columns: int
+    rows: int
+
+
+def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances (n, count) in metres and indices (n, count) of each point's nearest, itself among them."""
+    distances, indices = cKDTree(points).query(points, np.arange(1, count + 1))
+    return distances, indices
+
+
+def build_grid(points: np.ndarray, spacing: float) -> tuple[Grid, np.ndarray]:
+    """Return a grid with cells about `spacing` metres wide over points (n, 3) float32, and the order to sort them.
+
+    Cells are wider where the spacing would need more than a bounded number of them.
+    """
+    x0, y0 = points[:, 0].min(), points[:, 1].min()
+    width, height = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
+    most = _CELLS_PER_POINT * len(points)
+    cell = np.float32(max(spacing, np.sqrt(width * height / most), max(width, height) / most, 1e-6))
+    column, row = ((points[:, axis] - low) * (np.float32(1) / cell) for axis, low in ((0, x0), (1, y0)))
+    column, row = column.astype(np.int64), row.astype(np.int64)
+    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    bucket = column * rows + row
+    starts = np.concatenate([[0], np.cumsum(np.bincount(bucket, minlength=columns * rows))]).astype(np.int32)
+    return Grid(starts, x0, y0, cell, columns, rows), np.argsort(bucket, kind="stable")

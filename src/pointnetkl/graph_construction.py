@@ -1,0 +1,88 @@
+"""Making a survey's pose graph: GT, the paper's stand-in for the truth, and on it Algorithm 1."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl import gicp, loop_closure, pose, pose_graph, survey_graph
+from pointnetkl.covariance import gaussian, table
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.submap import Submap
+from pointnetkl.survey_graph import Closures, SurveyGraph
+
+
+class GraphConstructionError(PointNetKLError):
+    """A survey's truth does not belong to it."""
+
+
+def poses(table: pd.DataFrame) -> np.ndarray:
+    """Return T_map_submap (n, 4, 4) of a table with columns x_m, y_m, z_m and yaw_rad."""
+    rows = table[["x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(np.float64)
+    return np.array([pose.matrix(row[:3], row[3]) for row in rows]).reshape(-1, 4, 4)
+
+
+def truth_at(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
+    """Return true poses (n, 4, 4) at times in seconds, by linear interpolation; NaN if the trajectory is empty.
+
+    Raises:
+        GraphConstructionError: a time lies outside the trajectory.
+    """
+    if trajectory.empty:
+        return np.full((len(times), 4, 4), np.nan)
+    known = trajectory["time_s"].to_numpy()
+    if len(outside := times[(times < known[0]) | (times > known[-1])]):
+        raise GraphConstructionError(
+            f"the truth covers {known[0]:.3f} to {known[-1]:.3f} s and a submap is at {outside[0]:.3f} s;"
+            " give a truth of the whole survey, or data/none"
+        )
+    columns = {name: np.interp(times, known, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
+    yaw = np.interp(times, known, np.unwrap(trajectory["yaw_rad"]))
+    return poses(pd.DataFrame({**columns, "yaw_rad": yaw}))
+
+
+def label_covariances(labels: pd.DataFrame, survey: str) -> dict[int, np.ndarray]:
+    """Return the Monte Carlo covariances (2, 2) in m^2 of a table of labels, by submap.
+
+    Raises:
+        CovarianceError: one of them is not a covariance.
+    """
+    numbers, matrices = labels["submap"].tolist(), table.to_matrices(labels)
+    return {
+        number: gaussian.check(q, f"{survey}, label of submap {number}")
+        for number, q in zip(numbers, matrices, strict=True)
+    }
+
+
+def build(
+    survey: str,
+    submaps: Sequence[Submap],
+    navigation: np.ndarray,
+    truth: np.ndarray,
+    labels: Mapping[int, np.ndarray],
+    spacing: float,
+    settings: loop_closure.Settings,
+    registration: gicp.Settings,
+) -> SurveyGraph:
+    """Return a survey's graph: GT from navigation (n, 4, 4), then Algorithm 1 on the GT poses.
+
+    `labels` are the Monte Carlo covariances (2, 2) in m^2 by submap; `spacing` is that of neighbouring points, in
+    metres.
+    """
+    number = np.array([s.number for s in submaps], np.int64)
+    found = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
+    q = survey_graph.edge_covariances(number, labels, found, f"{survey}, labels")
+    gt = optimise_navigation(navigation, found, q, settings)
+    perturbations = loop_closure.starts(survey, submaps, settings)
+    closures = loop_closure.close(submaps, gt, perturbations, spacing, settings, registration)
+    noise = (settings.dead_reckoning, settings.loop_closure)
+    return SurveyGraph(survey, number, navigation, gt, truth, closures, *noise)
+
+
+def optimise_navigation(
+    navigation: np.ndarray, closures: Closures, q: np.ndarray, settings: loop_closure.Settings
+) -> np.ndarray:
+    """Return "GT" (n, 4, 4): navigation optimised with loop closures of covariances q (e, 2, 2) in m^2."""
+    covariances = pose_graph.closure_covariances(q, settings.loop_closure)
+    graph = pose_graph.PoseGraph(navigation[0], closures.edges, covariances)
+    return graph.optimise(pose_graph.between(navigation), settings.dead_reckoning, navigation)

@@ -1,0 +1,206 @@
+"""Generic raw pings: a long table, one row a sounding, as Parquet or CSV. Any sonar's data can be brought so.
+
+Columns: time_s (UTC, seconds since 1970; all rows of a ping share it); longitude_deg and latitude_deg (WGS84), or
+x_m and y_m (projected; the CRS in the Parquet metadata `crs`, a column `crs` or a file `.crs` beside it; these win
+where both are there); depth_m (of the vehicle, positive down), heading_rad (clockwise from true north, or from
+grid north with x_m); along_m (forward), across_m (to starboard), down_m (down from the vehicle). Optional:
+roll_rad, pitch_rad, beam, quality (0: good).
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pointnetkl.readers import projection
+from pointnetkl.readers.georeference import REJECTED, Recording
+from pointnetkl.survey import SurveyError
+
+SUFFIXES = (".parquet", ".csv")
+
+_NEEDED = ("time_s", "depth_m", "heading_rad", "along_m", "across_m", "down_m")
+_OPTIONAL = ("roll_rad", "pitch_rad", "beam", "quality")
+_PROJECTED, _GEOGRAPHIC = ("x_m", "y_m"), ("longitude_deg", "latitude_deg")
+_SOUNDING = ("along_m", "across_m", "down_m")
+_HEADER_BYTES = 1 << 16
+_SAME = 1e-6  # how much navigation may differ within a ping: rounding, in metres or radians
+
+Columns = dict[str, np.ndarray]
+
+
+class GenericError(SurveyError):
+    """A file of generic pings lacks a column, or holds something that is not a number or not in its unit."""
+
+
+def begins(head: bytes) -> bool:
+    """Whether the first bytes of a file are those of generic pings."""
+    return head.startswith(b"PAR1") or b"time_s" in head.split(b"\n", 1)[0]
+
+
+def read(path: Path) -> Recording:
+    """Read one file of generic pings.
+
+    Raises:
+        GenericError: the file is damaged, lacks a column, or a column is not numeric or not in its unit.
+    """
+    parquet = path.open("rb").read(4) == b"PAR1"
+    columns, crs = _read_parquet(path) if parquet else _read_csv(path)
+    skipped: dict[str, int] = {}
+    columns = _timed(columns, skipped)
+    columns, problems = _in_time_order(path, columns)
+    _check_units(path, columns)
+    begin = np.flatnonzero(np.diff(columns["time_s"], prepend=-np.inf) > 0)
+    ping = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(columns["time_s"]))))
+    pings = _pings(path, columns, begin, ping)
+    return Recording(path.name, crs, pings, _soundings(columns, begin, ping), skipped, problems)
+
+
+def _read_parquet(path: Path) -> tuple[Columns, str]:
+    try:
+        file = pq.ParquetFile(path, page_checksum_verification=True)
+        schema = file.schema_arrow
+        names = _wanted(path, schema.names)
+        for name in names:
+            if not (pa.types.is_integer(kind := schema.field(name).type) or pa.types.is_floating(kind)):
+                raise GenericError(f"{path}: column {name} holds {kind}, must hold numbers")
+        crs = (schema.metadata or {}).get(b"crs")
+        marked = ["crs"] if crs is None and "crs" in schema.names else []
+        table = file.read([*names, *marked])
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise GenericError(f"{path}: is a damaged Parquet file ({_line(error)}); copy or make it again") from error
+    return _numbers(table, names), _crs(path, table, crs, names)
+
+
+def _read_csv(path: Path) -> tuple[Columns, str]:
+    from pyarrow import csv
+
+    with path.open("rb") as file:
+        header = file.read(_HEADER_BYTES).split(b"\n", 1)[0].decode("utf-8-sig", "replace")
+    found = [name.strip().strip('"') for name in header.split(",")]
+    names = _wanted(path, found)
+    marked = ["crs"] if "crs" in found else []
+    convert = csv.ConvertOptions(
+        column_types=dict.fromkeys(names, pa.float64()) | dict.fromkeys(marked, pa.string()),
+        include_columns=[*names, *marked],
+    )
+    try:
+        table = csv.read_csv(
+            path,
+            read_options=csv.ReadOptions(column_names=found, skip_rows=1, use_threads=False),  # so it counts rows
+            convert_options=convert,
+        )
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise GenericError(f"{path}: is not a table of numbers ({_line(error)})") from error
+    return _numbers(table, names), _crs(path, table, None, names)
+
+
+def _wanted(path: Path, found: list[str]) -> list[str]:
+    position = _PROJECTED if set(_PROJECTED) <= set(found) else _GEOGRAPHIC
+    for name in (*_NEEDED, *position):
+        if found.count(name) != 1:
+            or_projected = " (or x_m and y_m)" if name in _GEOGRAPHIC else ""
+            trouble = "stands twice" if name in found else "is missing"
+            raise GenericError(f"{path}: column {name}{or_projected} {trouble}; it has {', '.join(found[:30])}")
+    return [*_NEEDED, *position, *(name for name in _OPTIONAL if name in found)]
+
+
+def _numbers(table: pa.Table, names: list[str]) -> Columns:
+    return {name: table[name].cast(pa.float64(), safe=False).to_numpy() for name in names}  # empty cells are NaN
+
+
+def _crs(path: Path, table: pa.Table, stored: bytes | None, names: list[str]) -> str:
+    if "longitude_deg" in names:
+        return projection.GEOGRAPHIC
+    if stored is not None:
+        return stored.decode("utf-8", "replace")
+    if "crs" in table.column_names:
+        marked = table["crs"].unique().to_pylist()
+        if len(marked) != 1 or not marked[0]:
+            raise GenericError(f"{path}: column crs must name one coordinate system, it has {marked[:3]}")
+        return str(marked[0])
+    beside = path.with_suffix(".crs")
+    return beside.read_text(errors="replace").strip() if beside.is_file() else projection.LOCAL
+
+
+def _timed(columns: Columns, skipped: dict[str, int]) -> Columns:
+    known = np.isfinite(columns["time_s"])
+    if known.all():
+        return columns
+    skipped["soundings without a time"] = int(np.sum(~known))
+    return {name: column[known] for name, column in columns.items()}
+
+
+def _in_time_order(path: Path, columns: Columns) -> tuple[Columns, list[str]]:
+    early = np.diff(columns["time_s"]) < 0
+    if not early.any():
+        return columns, []
+    order = np.argsort(columns["time_s"], kind="stable")
+    told = f"{path.name}: its rows went back in time {int(early.sum())} times, and were sorted"
+    return {name: column[order] for name, column in columns.items()}, [told]
+
+
+def _check_units(path: Path, columns: Columns) -> None:
+    if not len(columns["time_s"]):
+        return
+    most = float(np.nanmax(np.abs(columns["heading_rad"]), initial=0.0))
+    if most > 2 * np.pi + _SAME:
+        raise GenericError(f"{path}: heading_rad reaches {most:.4g}, must be radians within one turn")
+    depth, down = (_middle(columns[name]) for name in ("depth_m", "down_m"))
+    if depth < -1.0:
+        raise GenericError(f"{path}: depth_m is {depth:.4g} m in the middle, must be positive below the surface")
+    if down <= 0.0:
+        raise GenericError(f"{path}: down_m is {down:.4g} m in the middle, must be positive below the vehicle")
+    if "latitude_deg" in columns:
+        _check_degrees(path, columns)
+
+
+def _check_degrees(path: Path, columns: Columns) -> None:
+    # single positions out of range are counted and skipped; most of them so is a mistake in the columns
+    for name, limit in (("longitude_deg", 180.0), ("latitude_deg", 90.0)):
+        if abs(middle := _middle(columns[name])) > limit:
+            raise GenericError(
+                f"{path}: {name} is {middle:.6g} in the middle, must lie within -{limit:g} to {limit:g}"
+            )
+
+
+def _middle(column: np.ndarray) -> float:
+    numbers = column[np.isfinite(column)]
+    return float(np.median(numbers)) if len(numbers) else float("nan")
+
+
+def _pings(path: Path, columns: Columns, begin: np.ndarray, ping: np.ndarray) -> pd.DataFrame:
+    east, north = _PROJECTED if "x_m" in columns else _GEOGRAPHIC
+    sources = {"time_s": "time_s", "east": east, "north": north}
+    sources |= {name: name for name in ("depth_m", "heading_rad", "roll_rad", "pitch_rad")}
+    table: dict[str, Any] = {}
+    for name, source in sources.items():
+        column = columns.get(source, np.full(len(ping), np.nan))  # NaN: roll and pitch not recorded
+        first = column[begin].copy()
+        differs = np.abs(column - first[ping])
+        scale = 1e-5 if source in _GEOGRAPHIC else 1.0  # a degree is some 1e5 m
+        if (worst := float(np.nanmax(differs, initial=0.0))) > _SAME * scale:
+            at = columns["time_s"][int(np.nanargmax(differs))]
+            raise GenericError(
+                f"{path}: {source} differs by {worst:.3g} within the ping at time_s {at:.6f}; give one value"
+            )
+        first[ping[~np.isfinite(column)]] = np.nan  # a ping with a gap in its navigation is not used
+        table[name] = first
+    return pd.DataFrame(table)
+
+
+def _soundings(columns: Columns, begin: np.ndarray, ping: np.ndarray) -> pd.DataFrame:
+    table = {"ping": ping} | {name: columns[name] for name in _SOUNDING}
+    order_in_ping = np.arange(len(ping)) - begin[ping]
+    beam = columns.get("beam", order_in_ping)
+    table["beam"] = np.where(np.isfinite(beam) & (np.abs(beam) < 2**31), beam, order_in_ping).astype(np.int32)
+    quality = columns.get("quality", np.zeros(len(ping)))
+    small = np.where(np.abs(quality) <= 127, quality, REJECTED)  # also where it is empty
+    table["quality"] = np.where((small != 0) & (np.trunc(small) == 0), REJECTED, small).astype(np.int8)
+    return pd.DataFrame(table)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,98 @@
+"""Longitude and latitude to a map in metres, with the turn and scale that the map has at each place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointnetkl.survey import SurveyError
+
+GEOGRAPHIC = "EPSG:4326"  # positions are longitude and latitude on WGS84, in degrees
+LOCAL = "local"  # metres east and north of an unknown place
+AUTO = "auto"  # the UTM zone of the first position
+
+_A_M, _E2 = 6_378_137.0, 0.00669437999014  # WGS84: semi-major axis, eccentricity squared
+_STEP_M = 10.0  # for differences: small against the earth, large against rounding
+
+
+class ProjectionError(SurveyError):
+    """A coordinate system is unknown or cannot hold a map in metres."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where n pings lie in a projected CRS, and how that CRS turns and stretches the ground there.
+
+    On a conformal map a straight line on the ground stays straight to some 1e-5 of its length over a swath,
+    while neglecting the turn (meridian convergence) costs metres at the edge of a UTM zone.
+    """
+
+    crs: str
+    x: np.ndarray  # (n,) easting, metres
+    y: np.ndarray  # (n,) northing, metres
+    tangent: np.ndarray  # (n, 2, 2) map metres per metre on the ground, columns east and north
+
+    def turned(
+        self, ping: np.ndarray | slice, east: np.ndarray, north: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return offsets on the ground, metres to true east and north of the pings, as offsets on the map."""
+        t = self.tangent[ping]
+        return t[:, 0, 0] * east + t[:, 0, 1] * north, t[:, 1, 0] * east + t[:, 1, 1] * north
+
+
+def frame(crs: str, zone: str, east: np.ndarray, north: np.ndarray) -> Frame:
+    """Return positions (n,) as a frame: projected to `zone` if longitudes and latitudes, else as they are.
+
+    Raises:
+        ProjectionError: the zone is not a projected CRS in metres, or does not reach all positions.
+    """
+    if crs != GEOGRAPHIC:
+        return Frame(crs, east, north, np.broadcast_to(np.eye(2), (len(east), 2, 2)))
+    from pyproj import Transformer  # takes its time, and projected surveys do without
+
+    target = utm(float(east[0]), float(north[0])) if zone == AUTO else _metric(zone)
+    to_map = Transformer.from_crs(GEOGRAPHIC, target, always_xy=True)
+    per_east, per_north = _degrees_per_metre(north)
+    x, y = to_map.transform(east, north)
+    x_east, y_east = to_map.transform(east + _STEP_M * per_east, north)
+    x_north, y_north = to_map.transform(east, north + _STEP_M * per_north)
+    tangent = np.stack([x_east - x, x_north - x, y_east - y, y_north - y], 1).reshape(-1, 2, 2) / _STEP_M
+    if lost := int(np.sum(~np.isfinite(tangent.sum((1, 2)) + x + y))):
+        raise ProjectionError(
+            f"{lost} of {len(x)} positions lie outside {target}, the first position is at longitude {east[0]:.3f},"
+            f" latitude {north[0]:.3f}; set ingest.utm_zone"
+        )
+    return Frame(target, x, y, tangent)
+
+
+def utm(longitude: float, latitude: float) -> str:
+    """Return the EPSG code of the UTM zone (WGS84) of a position in degrees."""
+    number = min(int((longitude + 180.0) // 6.0), 59) + 1
+    return f"EPSG:{(32600 if latitude >= 0 else 32700) + number}"
+
+
+def roughly(longitude: np.ndarray, latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return metres east and north of the first position, good enough to tell a jump from a track."""
+    per_east, per_north = _degrees_per_metre(latitude)
+    turn = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # a track may cross the date line
+    return turn / per_east, (latitude - latitude[0]) / per_north
+
+
+def _degrees_per_metre(latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return degrees of longitude per metre east and of latitude per metre north, on the ellipsoid."""
+    phi = np.deg2rad(latitude)
+    w = np.sqrt(1.0 - _E2 * np.sin(phi) ** 2)
+    normal, meridian = _A_M / w, _A_M * (1.0 - _E2) / w**3
+    return np.rad2deg(1.0 / (normal * np.maximum(np.cos(phi), 1e-6))), np.rad2deg(1.0 / meridian)
+
+
+def _metric(zone: str) -> str:
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        crs = CRS.from_user_input(zone)
+    except CRSError as error:
+        raise ProjectionError(f"ingest.utm_zone is {zone!r}, must be auto or a code such as EPSG:32633") from error
+    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
+        raise ProjectionError(f"ingest.utm_zone {zone} ({crs.name}) is not a map in metres; take a UTM zone")
+    return zone

@@ -1,0 +1,156 @@
+"""The report: metrics.json, tables, figures and the page, as bytes by file name, from every stage's artifacts."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pointnetkl import artifacts, figures, page, plots, results, story, summary, tables, text_table, voxel
+from pointnetkl.results import Folders, Labels, Test
+from pointnetkl.study import Study
+from pointnetkl.summary import Settings
+from pointnetkl.text_table import Block
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the stage writes, by path below its folder, and what it prints."""
+
+    files: Mapping[str, bytes]
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What was read of all surveys."""
+
+    labels: Mapping[str, Labels]
+    canonical: Mapping[str, voxel.Clouds]
+    tests: Mapping[str, Test]
+    training: Mapping[str, Any]  # reports/train/summary.json
+    runtime: Mapping[str, Any]
+
+
+def make(folders: Folders, study: Study, simulate: Mapping[str, Any], settings: Settings) -> Report:
+    """Return the whole report of a study.
+
+    Raises:
+        ResultsError, ArtifactError: an artifact is missing, damaged, or does not belong to the others.
+    """
+    folders.demand(study)
+    found = _read(folders, study)
+    numbers = _numbers(folders, study, simulate, found, settings)
+    shown = _tables(numbers, study, found)
+    drawn = dict(_figures(folders, study, found, shown, settings))
+    text = story.sections(shown)
+    lead = story.lead(study, numbers["datasets"], found.labels, found.tests)
+    title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
+    files = {
+        "metrics.json": _json(summary.known(numbers)),
+        **{f"tables/{name}": content for name, content in _table_files(shown)},
+        **{f"figures/{name}.png": image for name, image in drawn.items()},
+        "index.html": page.render(title, lead, text, drawn).encode(),
+    }
+    return Report(files, story.comparison(numbers))
+
+
+def _read(folders: Folders, study: Study) -> _Found:
+    labels = {name: results.read_labels(folders, name) for name in study.surveys}
+    clouds = {name: folders.data / f"clouds/{name}.npz" for name in study.surveys}
+    return _Found(
+        labels=labels,
+        canonical={
+            n: voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path)) for n, path in clouds.items()
+        },
+        tests={name: results.read_test(folders, name, labels[name]) for name in study.test},
+        training=artifacts.read_json(folders.reports / "train/summary.json"),
+        runtime=artifacts.read_json(folders.reports / "runtime.json"),
+    )
+
+
+def _numbers(
+    folders: Folders, study: Study, simulate: Mapping[str, Any], found: _Found, settings: Settings
+) -> dict[str, Any]:
+    datasets = {}
+    for name, line in study.surveys.items():
+        clouds, poses = results.read_points(folders, name)
+        simulated = summary.simulated_from(line.raw, simulate)
+        datasets[name] = {
+            "simulated": simulated is not None,
+            "vehicle": str(simulate[simulated].get("vehicle", "unknown")) if simulated else "unknown",
+            **summary.dataset(
+                clouds,
+                poses,
+                results.read_pings(folders, name),
+                found.labels[name],
+                found.canonical[name],
+                settings.cell_factor * line.point_spacing_m,
+            ),
+        }
+    tests = found.tests.items()
+    training = {which: found.training.get(f"{which}_kl") for which in ("training", "validation")}
+    return {
+        "datasets": datasets,
+        "kl": training | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
+        "calibration": {name: summary.calibrations(found.labels[name], test) for name, test in tests},
+        "slam": {name: summary.slam(name, test, settings) for name, test in tests},
+    }
+
+
+def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str, list[Block]]:
+    """Return every table by the stem of its files; the first block is what the CSV file has."""
+    datasets = {
+        name: {
+            **each,
+            "label_runs": study.surveys[name].label_runs,
+            "self_matching": float(np.mean(found.labels[name].self_matching)),
+        }
+        for name, each in numbers["datasets"].items()
+    }
+    eigenvalues = {name: np.linalg.eigvalsh(labels.q) for name, labels in found.labels.items()}
+    kl, slam = tables.divergences(numbers["kl"], datasets), tables.slam_errors(numbers["slam"], datasets)
+    return {
+        "table_1": tables.table_1(datasets),
+        "table_2": [*tables.table_2(numbers["kl"], datasets, list(study.train)), kl],
+        "table_3": tables.table_3(found.runtime),
+        "table_4": [*tables.table_4(numbers["slam"], datasets), slam],
+        "labels": [tables.label_quantiles(eigenvalues, datasets)],
+        "kl": [kl],
+        "calibration": [tables.calibrations(numbers["calibration"], datasets)],
+        "slam": [slam],
+    }
+
+
+def _table_files(shown: Mapping[str, Sequence[Block]]) -> Iterator[tuple[str, bytes]]:
+    for name, blocks in shown.items():
+        frame = blocks[0].frame
+        if "method" in frame and "survey" in frame:
+            # DVC's plots have one name a bar
+            frame = frame.assign(survey_method=frame["survey"] + " " + frame["method"])
+        yield f"{name}.csv", text_table.csv(frame).encode()
+        if name in ("table_1", "table_2", "table_3", "table_4", "labels"):
+            yield f"{name}.md", text_table.markdown(blocks).encode()
+
+
+def _figures(
+    folders: Folders, study: Study, found: _Found, shown: Mapping[str, Sequence[Block]], settings: Settings
+) -> Iterator[tuple[str, bytes]]:
+    rng = np.random.default_rng(settings.seed)
+    eigenvalues = {name: np.linalg.eigvalsh(labels.q) for name, labels in found.labels.items()}
+    spacing = {name: float(np.median(labels.spacing_m)) for name, labels in found.labels.items()}
+    prior = float(next(iter(found.labels.values())).parameters["label"]["prior_variance_m2"])
+    kl, calibration, slam = (shown[name][0].frame for name in ("kl", "calibration", "slam"))
+    yield "swath", plots.png(figures.swath(folders, next(iter(study.train))))
+    yield "canonical", plots.png(figures.canonical(found.canonical, rng))
+    yield "training", plots.png(plots.training(results.read_loss(folders)))
+    yield "labels", plots.png(plots.eigenvalues(eigenvalues, prior, settings.kl_floor_m2))
+    yield "bathymetry", plots.png(figures.bathymetry(folders, found.tests, spacing))
+    yield "trajectories", plots.png(figures.trajectories(found.tests))
+    for name, figure in figures.charts(kl, calibration, slam, found.runtime):
+        yield name, plots.png(figure)
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    return (json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()

@@ -1,0 +1,124 @@
+"""A seabed from a real grid: a GeoTIFF of depths, with stated roughness below its cell."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage, signal
+
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.simulation import noise
+
+
+class GridError(PointNetKLError):
+    """A grid cannot be read, or has no room for the survey."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Depths of a raster, interpolated by cubic splines between the centres of its cells."""
+
+    crs: str
+    path: Path
+    spline: np.ndarray  # (rows, columns) coefficients
+    valid: np.ndarray  # (rows, columns) bool: has a depth
+    corner: tuple[float, float]  # x, y of the outer corner of the first cell
+    cell: tuple[float, float]  # its size in x and in y, metres; y negative in a raster whose first row is north
+    roughness_m: float
+    seed: int
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return z (n,) metres at projected coordinates x, y (n,); NaN where the grid has no depth."""
+        row = (y - self.corner[1]) / self.cell[1] - 0.5
+        column = (x - self.corner[0]) / self.cell[0] - 0.5
+        z = ndimage.map_coordinates(self.spline, [row, column], order=3, prefilter=False, mode="mirror")
+        known = ndimage.map_coordinates(self.valid.astype(np.uint8), [row, column], order=0, mode="constant")
+        if self.roughness_m > 0:
+            # what the grid averaged away: two octaves shorter than twice its cell
+            size = abs(self.cell[0])
+            z = z + self.roughness_m * noise.field(x - self.corner[0], y - self.corner[1], self.seed, size, 2)
+        return np.where(known > 0, z, np.nan)
+
+    def place(self, length_m: float, width_m: float, azimuth_rad: float) -> tuple[float, float]:
+        """Return the centre of a survey of this size that lies wholly in the valid area, as central as can be.
+
+        Raises:
+            GridError: there is no such place.
+        """
+        shape = _rectangle(length_m, width_m, azimuth_rad, self.cell)
+        if shape.shape[0] > self.valid.shape[0] or shape.shape[1] > self.valid.shape[1]:
+            raise GridError(self._no_room(length_m, width_m))
+        covered = signal.fftconvolve(self.valid.astype(float), shape[::-1, ::-1], mode="valid")
+        rows, columns = np.nonzero(covered > shape.sum() - 0.5)
+        if len(rows) == 0:
+            raise GridError(self._no_room(length_m, width_m))
+        middle = np.argwhere(self.valid).mean(axis=0)
+        row, column = rows + (shape.shape[0] - 1) / 2, columns + (shape.shape[1] - 1) / 2
+        best = int(np.argmin((row - middle[0]) ** 2 + (column - middle[1]) ** 2))
+        x = self.corner[0] + (column[best] + 0.5) * self.cell[0]
+        return float(x), float(self.corner[1] + (row[best] + 0.5) * self.cell[1])
+
+    def _no_room(self, length_m: float, width_m: float) -> str:
+        area = self.valid.sum() * abs(self.cell[0] * self.cell[1]) / 1e6
+        return (
+            f"{self.path}: its valid area of {area:.3g} km2 has no room for a survey of {length_m:.0f} m by"
+            f" {width_m:.0f} m; lower line_length_m, lines or altitude_m, or turn azimuth_deg"
+        )
+
+
+def read(path: Path, roughness_m: float = 0.0, seed: int = 0) -> Grid:
+    """Read a GeoTIFF of heights in metres, up; depths given as positive numbers are turned over.
+
+    Raises:
+        GridError: the file is not a GeoTIFF, or is not a north-up grid in a projected CRS in metres.
+    """
+    z, crs, transform = _raster(path)
+    if crs is None or not crs.is_projected or crs.linear_units_factor[1] != 1.0:
+        raise GridError(f"{path}: its CRS is {crs}, must be projected, in metres; reproject it, for example to UTM")
+    if transform.b or transform.d:
+        raise GridError(f"{path}: is rotated; resample it to a north-up grid")
+    valid = np.isfinite(z)
+    if valid.mean() < 1e-6 or min(z.shape) < 4:
+        raise GridError(f"{path}: has no depths")
+    if np.median(z[valid]) > 0:
+        z = -z
+    code = crs.to_epsg()
+    return Grid(
+        crs=f"EPSG:{code}" if code else str(crs.to_wkt()),
+        path=path,
+        spline=ndimage.spline_filter(_filled(z, valid), order=3, mode="mirror"),
+        valid=valid,
+        corner=(transform.c, transform.f),
+        cell=(transform.a, transform.e),
+        roughness_m=roughness_m,
+        seed=seed,
+    )
+
+
+def _raster(path: Path) -> tuple[np.ndarray, object, object]:
+    import rasterio  # slow to import, and most surveys have no grid
+
+    try:
+        with rasterio.open(path) as dataset:
+            band = dataset.read(1, masked=True)
+            return band.astype(np.float64).filled(np.nan), dataset.crs, dataset.transform
+    except rasterio.errors.RasterioError as error:
+        reason = " ".join(str(error).split())[:120]
+        raise GridError(f"{path}: is not a GeoTIFF that can be read ({reason})") from error
+
+
+def _filled(z: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the grid with holes filled from the nearest depth: a spline must not see NaN."""
+    nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return np.asarray(z[tuple(nearest)])
+
+
+def _rectangle(length_m: float, width_m: float, azimuth_rad: float, cell: tuple[float, float]) -> np.ndarray:
+    """Return the cells that a turned rectangle covers, with one cell around it, as 0 and 1."""
+    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    margin = max(abs(cell[0]), abs(cell[1]))
+    a, b = length_m / 2 + margin, width_m / 2 + margin
+    half_x, half_y = abs(c) * a + abs(s) * b, abs(s) * a + abs(c) * b
+    columns, rows = (int(np.ceil(half / abs(step))) for half, step in ((half_x, cell[0]), (half_y, cell[1])))
+    y, x = np.meshgrid(np.arange(-rows, rows + 1) * cell[1], np.arange(-columns, columns + 1) * cell[0], indexing="ij")
+    return ((abs(c * x + s * y) <= a) & (abs(c * y - s * x) <= b)).astype(float)

@@ -1,0 +1,215 @@
+"""A seabed that is drawn, not surveyed: depth anywhere in the plane, from a seed and a few lengths and slopes.
+
+Terrain is patchy, because a seabed is: every field's steepness runs from its flattest to its steepest places on a
+logarithmic scale, so flat sediment, gentle ground and rock lie side by side in one survey.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.simulation import noise
+
+
+class SeabedError(PointNetKLError):
+    """A seabed cannot be made as asked."""
+
+
+class Seabed(Protocol):
+    """Depth at any point, and where a survey of it may be placed."""
+
+    crs: str  # of the coordinates that it is asked for
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return z (n,) metres, up, negative below the surface, at x, y (n,) metres."""
+        ...
+
+    def place(self, length_m: float, width_m: float, azimuth_rad: float) -> tuple[float, float]:
+        """Return the centre of a survey of this size, drawn along an azimuth counter-clockwise from east."""
+        ...
+
+
+@dataclass(frozen=True)
+class Field:
+    """A random field; its steepness wanders over `patch_m`."""
+
+    slope: list[float]  # rms slope across the grain in the flattest and in the steepest places, log-uniform between
+    length_m: float  # from a hill to the next hollow, coarsest octave
+    octaves: int = 2  # each half as long as the one before, and as steep
+    stretch: float = 1.0  # how much longer along the grain
+    azimuth_deg: float = 0.0  # of the grain, counter-clockwise from east
+    patch_m: float = 300.0
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Basins and plateaus with slopes between them: most of a seabed's height stands on little of its ground."""
+
+    height_m: float  # of the plateaus above the basins
+    length_m: float  # from a basin to the next plateau
+    flat: float  # share of the ground that is basin or plateau
+    stretch: float  # how much longer along the grain
+    azimuth_deg: float  # of the grain, counter-clockwise from east
+
+
+@dataclass(frozen=True)
+class Ripples:
+    """Sand waves: crests in fields that cover a share of the ground."""
+
+    height_m: float  # crest to trough
+    wavelength_m: float
+    azimuth_deg: float  # of the crests
+    cover: float
+    patch_m: float = 200.0
+
+
+@dataclass(frozen=True)
+class Outcrops:
+    """Rock that stands out of the sediment, in groups."""
+
+    height_m: float
+    size_m: float
+    cover: float
+    patch_m: float = 250.0
+
+
+@dataclass(frozen=True)
+class Ploughmarks:
+    """Furrows that icebergs' keels left: long, curved, with berms, in two crossing families."""
+
+    depth_m: float
+    width_m: float
+    spacing_m: float
+    azimuth_deg: float
+    cover: float
+
+
+@dataclass(frozen=True)
+class Wall:
+    """One fjord wall, wandering about a straight line through the survey."""
+
+    height_m: float
+    width_m: float  # from its foot to its top
+    azimuth_deg: float
+    offset_m: float  # of the line from the survey's centre, to the left of the azimuth
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One place's terrain; what is None does not occur there."""
+
+    depth_m: float
+    relief: Relief
+    hills: Field  # hundreds of metres
+    texture: Field  # what registration holds on to: tens of metres and less
+    ridges: Field | None = None
+    ripples: Ripples | None = None
+    outcrops: Outcrops | None = None
+    ploughmarks: Ploughmarks | None = None
+    wall: Wall | None = None
+
+
+@dataclass(frozen=True)
+class Random:
+    """A seabed drawn from a seed; it has no edge, and does not know how much of it is asked for."""
+
+    settings: Settings
+    seed: int
+    crs: str
+    centre: tuple[float, float]  # of every survey of it, in its CRS
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return z (n,) metres at projected coordinates x, y (n,)."""
+        return heights(self.settings, self.seed, x - self.centre[0], y - self.centre[1])
+
+    def place(self, length_m: float, width_m: float, azimuth_rad: float) -> tuple[float, float]:
+        """Return the centre: a seabed without an edge has room for a survey of any size."""
+        return self.centre
+
+
+def heights(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return z (n,) metres of a random terrain at x, y (n,) metres from its centre.
+
+    Raises:
+        SeabedError: a slope range is not two rising positive numbers.
+    """
+    z = _relief(terrain.relief, seed * 64 + 12, x, y) - terrain.depth_m
+    # a seed for each feature, so that adding one leaves the others where they were
+    parts = (terrain.hills, terrain.texture, terrain.ridges)
+    for number, part in enumerate(parts):
+        if part is not None:
+            z += _field(part, seed * 64 + 4 * number, x, y)
+    if terrain.ripples is not None:
+        z += _ripples(terrain.ripples, seed * 64 + 20, x, y)
+    if terrain.outcrops is not None:
+        z += _outcrops(terrain.outcrops, seed * 64 + 24, x, y)
+    if terrain.ploughmarks is not None:
+        z += _ploughmarks(terrain.ploughmarks, seed * 64 + 28, x, y)
+    if terrain.wall is not None:
+        z += _wall(terrain.wall, seed * 64 + 36, x, y)
+    return z
+
+
+def _relief(relief: Relief, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    u, v = noise.stretched(x, y, relief.stretch, np.deg2rad(relief.azimuth_deg))
+    # the value that a unit field exceeds on half of the flat share, by the same logistic as in noise.share
+    edge = np.log(2.0 / relief.flat - 1.0) / 1.702
+    return relief.height_m * (_smooth(0.5 + noise.field(u, v, seed, relief.length_m) / (2 * edge)) - 0.5)
+
+
+def _field(field: Field, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    if len(field.slope) != 2 or not 0 < field.slope[0] <= field.slope[1]:
+        raise SeabedError(f"slope is {field.slope}, must be [flattest, steepest], both above 0")
+    flattest, steepest = field.slope
+    u, v = noise.stretched(x, y, field.stretch, np.deg2rad(field.azimuth_deg))
+    rank = noise.share(noise.field(x, y, seed + 1, field.patch_m, 2))
+    steepness = flattest * (steepest / flattest) ** rank
+    unit = noise.field(u, v, seed, field.length_m, field.octaves)
+    return np.asarray(steepness / noise.slope(field.length_m, field.octaves) * unit)
+
+
+def _ripples(ripples: Ripples, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    length = ripples.wavelength_m
+    _, across = noise.stretched(x, y, 1.0, np.deg2rad(ripples.azimuth_deg))
+    across = across + 0.5 * length * noise.field(x, y, seed, 8 * length)  # crests bend and fork
+    presence = _within(noise.field(x, y, seed + 1, ripples.patch_m, 2), ripples.cover)
+    return np.asarray(0.5 * ripples.height_m * presence * np.sin(2 * np.pi / length * across))
+
+
+def _outcrops(outcrops: Outcrops, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    group = noise.field(x, y, seed, outcrops.patch_m)
+    rock = noise.field(x, y, seed + 1, outcrops.size_m, 3)
+    # the sum of two unit fields, brought back to unit variance
+    rank = noise.share((group + rock) / np.sqrt(2.0))
+    return outcrops.height_m * np.maximum(rank - (1 - outcrops.cover), 0.0) / outcrops.cover
+
+
+def _ploughmarks(marks: Ploughmarks, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    z = np.zeros(len(x))
+    for family, turn in enumerate((0.0, 0.9)):
+        u, v = noise.stretched(x, y, 6.0, np.deg2rad(marks.azimuth_deg) + turn)
+        # a furrow runs where a drawn-out field is zero: a long curve that never ends abruptly
+        distance = noise.field(u, v, seed + 2 * family, marks.spacing_m) / noise.slope(marks.spacing_m)
+        presence = _within(noise.field(x, y, seed + 2 * family + 1, 2 * marks.spacing_m), marks.cover)
+        t = (2.0 * distance / marks.width_m) ** 2
+        z -= marks.depth_m * presence * (1.0 - t) * np.exp(-t / 2)
+    return z
+
+
+def _wall(wall: Wall, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    _, across = noise.stretched(x, y, 1.0, np.deg2rad(wall.azimuth_deg))
+    wander = 0.4 * wall.width_m * noise.field(x, y, seed, 2 * wall.width_m, 2)
+    return 0.5 * wall.height_m * np.tanh(2 * (across - wall.offset_m + wander) / wall.width_m)
+
+
+def _within(field: np.ndarray, cover: float) -> np.ndarray:
+    """Return 1 inside patches that cover this share of the plane, 0 outside, with soft edges."""
+    return _smooth((noise.share(field) - (1.0 - cover)) / 0.1 + 0.5)
+
+
+def _smooth(step: np.ndarray) -> np.ndarray:
+    """Return 0 below 0, 1 above 1, and a smooth step between."""
+    t = np.clip(step, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))

@@ -1,0 +1,58 @@
+"""The surveys of the study: where each one's raw data are, and the numbers that stand in its line."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pointnetkl import settings
+
+
+@dataclass(frozen=True)
+class StudySurvey:
+    """One survey's line in the parameter file.
+
+    Raises:
+        ValueError: a length or a count is not positive.
+    """
+
+    raw: str  # file or folder of raw pings
+    truth: str  # its true trajectory; data/none where it is not known
+    submap_length_m: float
+    point_spacing_m: float
+    label_runs: int  # registrations per Monte Carlo label
+
+    def __post_init__(self) -> None:
+        """Refuse what no submap can be cut by."""
+        settings.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
+        if self.submap_length_m < 2 * self.point_spacing_m:
+            raise ValueError(
+                f"submap_length_m is {self.submap_length_m:g}, must be at least twice point_spacing_m,"
+                f" which is {self.point_spacing_m:g}"
+            )
+
+
+@dataclass(frozen=True)
+class Study:
+    """The surveys that are trained on, those that are tested on, and all of them."""
+
+    train: dict[str, StudySurvey]
+    test: dict[str, StudySurvey]
+    surveys: dict[str, StudySurvey]
+    scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
+
+
+def read(path: Path) -> Study:
+    """Return the whole study of a parameter file.
+
+    Raises:
+        SettingsError: a line is wrong.
+    """
+    return settings.read(path, "study", Study)
+
+
+def survey(path: Path, name: str) -> StudySurvey:
+    """Return one survey's line; what other surveys' lines say does not matter.
+
+    Raises:
+        SettingsError: there is no such survey, or its line is wrong.
+    """
+    return settings.read(path, f"study.surveys.{name}", StudySurvey)

@@ -1,0 +1,157 @@
+"""The pose graph of one survey as a file: every method optimises the same one.
+
+Its poses are those of navigation, of "GT" (navigation optimised with the Monte Carlo covariances, the paper's
+stand-in for the truth) and of the truth where it is known. Its edges are dead reckoning between neighbours, as
+GT has it, and the loop closures of Algorithm 1, registered from perturbed GT poses.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pointnetkl import metrics, pose_graph
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
+
+
+class SurveyGraphError(PointNetKLError):
+    """A survey's graph cannot be made, or not from this file."""
+
+
+@dataclass(frozen=True)
+class Closures:
+    """Edges from each registered submap to every submap that it was registered to; nodes count from 0."""
+
+    edges: Edges  # e of them, from target k to source i > k
+    registration: np.ndarray  # (e,) which registration an edge comes from
+    node: np.ndarray  # (r,) node i of each registration
+    start: np.ndarray  # (r, 2) where the registration started, metres in the map frame from the pose handed in
+    correction: np.ndarray  # (r, 2) and where it ended
+    converged: np.ndarray  # (r,) bool; the others stopped at the last iteration, as some of the labels' do
+    rejected: np.ndarray  # nodes that returned to mapped ground but had no point to match: no edge
+
+
+@dataclass(frozen=True)
+class SurveyGraph:
+    """One survey's nodes (its n submaps, in the order of the track) and edges."""
+
+    survey: str
+    number: np.ndarray  # (n,) the submap at each node
+    navigation: np.ndarray  # (n, 4, 4) T_map_submap
+    gt: np.ndarray  # (n, 4, 4)
+    truth: np.ndarray  # (n, 4, 4), NaN where it is not known
+    closures: Closures
+    dead_reckoning_noise: DeadReckoningNoise
+    closure_noise: ClosureNoise
+
+
+def edge_covariances(
+    numbers: Sequence[int] | np.ndarray, q: Mapping[int, np.ndarray], closures: Closures, origin: str
+) -> np.ndarray:
+    """Return each edge's Q_i (e, 2, 2) in m^2: that of the registered submap, its source.
+
+    Raises:
+        SurveyGraphError: a submap that closes a loop has no covariance.
+    """
+    sources = [int(numbers[i]) for i in closures.edges.source]
+    if missing := [number for number in sources if number not in q]:
+        raise SurveyGraphError(f"{origin}: submap {missing[0]} closes a loop and has no covariance; run dvc repro")
+    return np.array([q[number] for number in sources]).reshape(-1, 2, 2)
+
+
+def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
+    """Return each edge's error (e, 2) in metres against poses T_map_submap (n, 4, 4), in the source's frame."""
+    edges = closures.edges
+    T_target_source = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
+    return np.asarray((np.linalg.inv(edges.measured) @ T_target_source)[:, :2, 3])
+
+
+def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
+    """Return each registration's error (r, 2) in metres, the mean of its edges' errors."""
+    e = errors(closures, poses)
+    count = np.bincount(closures.registration, minlength=len(closures.node))
+    sums = [np.bincount(closures.registration, e[:, axis], len(count)) for axis in (0, 1)]
+    return np.stack(sums, -1) / count[:, None]
+
+
+def summary(graph: SurveyGraph) -> dict[str, Any]:
+    """Return counts, and how far navigation, GT and the registrations are from each other and from the truth."""
+    closures = graph.closures
+
+    def error(a: np.ndarray, b: np.ndarray) -> float | None:
+        return None if np.isnan(b).any() else metrics.rmse(a[:, :3, 3], b[:, :3, 3])
+
+    return {
+        "submaps": len(graph.number),
+        "dead_reckoning_edges": len(graph.number) - 1,
+        "loop_closures": len(closures.edges.source),
+        "registrations": len(closures.node),
+        "registrations_converged": int(closures.converged.sum()),
+        "registrations_rejected": len(closures.rejected),
+        "navigation_rmse_xyz_m": error(graph.navigation, graph.gt),
+        "navigation_truth_rmse_xyz_m": error(graph.navigation, graph.truth),
+        "gt_truth_rmse_xyz_m": error(graph.gt, graph.truth),
+    }
+
+
+def to_arrays(graph: SurveyGraph) -> dict[str, np.ndarray]:
+    """Return the graph as named arrays, with the errors of its loop closures against GT and against the truth."""
+    closures, gt, truth = graph.closures, graph.gt, graph.truth
+    return {
+        "survey": np.array(graph.survey),
+        "number": graph.number,
+        "navigation": graph.navigation,
+        "gt": gt,
+        "truth": truth,
+        "dead_reckoning": pose_graph.between(gt),
+        "dead_reckoning_sigmas": pose_graph.sigmas(graph.dead_reckoning_noise),
+        "closure_sigmas": pose_graph.sigmas(graph.closure_noise),
+        "edge_target": closures.edges.target,
+        "edge_source": closures.edges.source,
+        "edge_measured": closures.edges.measured,
+        "edge_registration": closures.registration,
+        "edge_error_gt_m": errors(closures, gt),
+        "edge_error_truth_m": errors(closures, truth),
+        "registration_node": closures.node,
+        "registration_start_m": closures.start,
+        "registration_correction_m": closures.correction,
+        "registration_error_gt_m": registration_errors(closures, gt),
+        "registration_error_truth_m": registration_errors(closures, truth),
+        "registration_converged": closures.converged,
+        "rejected_node": closures.rejected,
+    }
+
+
+def from_arrays(arrays: Mapping[str, np.ndarray]) -> SurveyGraph:
+    """Return the graph that `to_arrays` wrote.
+
+    Raises:
+        SurveyGraphError: an array is missing.
+    """
+    try:
+        return SurveyGraph(
+            survey=str(arrays["survey"]),
+            number=arrays["number"],
+            navigation=arrays["navigation"],
+            gt=arrays["gt"],
+            truth=arrays["truth"],
+            closures=_closures(arrays),
+            dead_reckoning_noise=DeadReckoningNoise(*arrays["dead_reckoning_sigmas"].tolist()),
+            closure_noise=ClosureNoise(*arrays["closure_sigmas"].tolist()),
+        )
+    except KeyError as error:
+        raise SurveyGraphError(f"the graph lacks {error}; delete it and run dvc repro") from error
+
+
+def _closures(arrays: Mapping[str, np.ndarray]) -> Closures:
+    return Closures(
+        edges=Edges(arrays["edge_target"], arrays["edge_source"], arrays["edge_measured"]),
+        registration=arrays["edge_registration"],
+        node=arrays["registration_node"],
+        start=arrays["registration_start_m"],
+        correction=arrays["registration_correction_m"],
+        converged=arrays["registration_converged"],
+        rejected=arrays["rejected_node"],
+    )

@@ -1,0 +1,197 @@
+"""A small study's artifacts as the stages leave them, made up: a seabed of waves, labels that follow its slopes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from pointnetkl import artifacts, monte_carlo, pose, slam, submap, survey, voxel
+from pointnetkl.covariance import table
+
+LENGTH_M, SPACING_M, LINES, ALONG = 60.0, 4.0, 3, 6
+TRAIN, TEST = ("baltic", "borno_1"), ("borno_8", "mine")
+METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", "pointnetkl")
+REPETITIONS, HELD_OUT = 4, 40
+
+
+@dataclass(frozen=True)
+class Fake:
+    """One made-up survey: its poses (submap.POSES), clouds in submap frames, and labels (k, 2, 2)."""
+
+    name: str
+    poses: pd.DataFrame
+    clouds: list[np.ndarray]
+    q: np.ndarray
+
+
+def write(root: Path) -> None:
+    """Write data/, models/, reports/ and params.yaml of a study with two training and two test surveys.
+
+    `mine` is a user's own survey: not simulated, without truth or loop closures.
+    """
+    for name in (*TRAIN, *TEST):
+        fake = _survey(name)
+        _write_survey(root / "data", fake)
+        _write_labels(root / "data", fake)
+        if name in TEST:
+            _write_test(root, fake)
+    _write_training(root)
+    (root / "params.yaml").write_text(yaml.safe_dump(_parameters()))
+
+
+def _parameters() -> dict[str, object]:
+    lines = {
+        name: {
+            "raw": f"data/raw/{name}",
+            "truth": "data/none",
+            "submap_length_m": 60,
+            "point_spacing_m": 4,
+            "label_runs": 50,
+        }
+        for name in (*TRAIN, *TEST)
+    }
+    study = {"train": {n: lines[n] for n in TRAIN}, "test": {n: lines[n] for n in TEST}, "surveys": lines}
+    simulate = {name: {"vehicle": "hugin"} for name in (*TRAIN, *TEST) if name != "mine"}
+    report = {"seed": 9, "kl_floor_m2": 0.01, "cell_factor": 2.0}
+    return {"study": {"scale": "smoke", **study}, "simulate": simulate, "report": report}
+
+
+def _rng(name: str) -> np.random.Generator:
+    return np.random.default_rng(list(name.encode()))
+
+
+def seabed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the made-up depth (z, metres) at places in the map frame."""
+    return -80 + 6 * np.sin(x / 70) * np.cos(y / 45) + 1.5 * np.sin((x + y) / 11)
+
+
+def _survey(name: str) -> Fake:
+    rng = _rng(name)
+    rows, clouds = [], []
+    for i in range(LINES * ALONG):
+        line, step = divmod(i, ALONG)
+        back = line % 2 == 1
+        x, y = ((ALONG - 1 - step if back else step) + 0.5) * LENGTH_M, line * 50.0
+        rows.append((i, 100.0 * i, x, y, -60.0, np.pi if back else 0.0, LENGTH_M, 60, 4000, line))
+        T = pose.matrix(np.array([x, y, -60.0]), rows[-1][5])
+        grid = np.mgrid[-30:30:SPACING_M, -40:40:SPACING_M].reshape(2, -1).T + rng.uniform(0, 1, (300, 2))
+        placed = pose.transform(T, np.column_stack([grid, np.zeros(len(grid))]))
+        clouds.append(
+            np.column_stack([grid, seabed(placed[:, 0], placed[:, 1]) + 60 + rng.normal(0, 0.1, len(grid))])
+        )
+    k = len(rows)
+    turn = rng.uniform(0, np.pi, k)
+    R = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], -1).reshape(k, 2, 2)
+    spread = np.sort(9 * rng.beta(0.5, 0.8, (k, 2)) + 0.01)
+    q = R @ (spread[:, :, None] * np.swapaxes(R, 1, 2))
+    return Fake(name, pd.DataFrame(rows, columns=submap.POSES.names), clouds, q)
+
+
+def _write_survey(data: Path, fake: Fake) -> None:
+    rng, poses = _rng(fake.name), fake.poses
+    x = np.concatenate([np.linspace(0, 360, 180)[:: 1 - 2 * (line % 2)] for line in range(LINES)])
+    y, ping = np.repeat(50.0 * np.arange(LINES), 180), np.arange(180 * LINES)
+    pings = pd.DataFrame({"ping": ping, "time_s": 3.0 * ping, "x_m": x, "y_m": y, "z_m": -60.0, "file": "fake"})
+    artifacts.write_table(
+        data / f"surveys/{fake.name}/pings.parquet",
+        pings.assign(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0),
+        survey.PINGS,
+        {},
+    )
+    across = np.linspace(-40, 40, 40)
+    sx, sy = np.repeat(x, 40), (y[:, None] + across).ravel()
+    soundings = pd.DataFrame(
+        {"ping": np.repeat(ping, 40), "beam": np.tile(np.arange(40), len(ping)), "x_m": sx, "y_m": sy}
+    )
+    artifacts.write_table(
+        data / f"surveys/{fake.name}/soundings.parquet",
+        soundings.assign(z_m=seabed(sx, sy) + rng.normal(0, 0.1, len(sx)), quality=0),
+        survey.SOUNDINGS,
+        {},
+    )
+    submaps = [submap.Submap(fake.name, i, p, p[::2], p[1::2]) for i, p in enumerate(fake.clouds)]
+    artifacts.write_table(data / f"submaps/{fake.name}.parquet", submap.to_table(submaps), submap.POINTS, {})
+    artifacts.write_table(data / f"submaps/{fake.name}_poses.parquet", poses, submap.POSES, {})
+    unit = [voxel.normalised(points) for points in fake.clouds]
+    clouds = voxel.Clouds.of(range(len(unit)), [voxel.Canonical(p.astype(np.float32), r) for p, r in unit])
+    artifacts.write_arrays(data / f"clouds/{fake.name}.npz", clouds.to_arrays(), {})
+
+
+def _write_labels(data: Path, fake: Fake) -> None:
+    rng, k = _rng(fake.name), len(fake.q)
+    rows = pd.DataFrame(dict.fromkeys(monte_carlo.LABELS.names, 0.0), index=range(k)).assign(
+        submap=range(k), runs=50, spacing_m=2.3, self_matching=False, **_columns(fake.q)
+    )
+    label = {"copy": "same", "noise_sigma_m": 0.2, "prior_variance_m2": 9.0}
+    artifacts.write_table(data / f"labels/{fake.name}.parquet", rows, monte_carlo.LABELS, {"label": label})
+    draws = np.einsum("kij,klj->kli", np.linalg.cholesky(fake.q), rng.normal(size=(k, HELD_OUT, 2)))
+    samples = {"submap": np.arange(k, dtype=np.int32), "errors": draws, "held_out": draws}
+    artifacts.write_arrays(data / f"labels/{fake.name}_errors.npz", samples, {})
+
+
+def _columns(q: np.ndarray) -> dict[str, np.ndarray]:
+    return {"q_xx_m2": q[:, 0, 0], "q_xy_m2": q[:, 0, 1], "q_yy_m2": q[:, 1, 1]}
+
+
+def _write_test(root: Path, fake: Fake) -> None:
+    numbers, mean = range(len(fake.q)), np.broadcast_to(fake.q.mean(axis=0), fake.q.shape)
+    shrunk = 0.5 * fake.q + 0.5 * mean
+    q = dict(
+        zip(
+            METHODS,
+            (fake.q, mean, np.broadcast_to(2 * np.eye(2), mean.shape), 1.3 * mean, 1.1 * fake.q, shrunk),
+            strict=True,
+        )
+    )
+    for stage, methods in (("estimated", METHODS[:3]), ("predicted", METHODS[3:])):
+        rows = [table.from_matrices(fake.name, method, numbers, q[method]) for method in methods]
+        path = root / f"data/covariances/{fake.name}_{stage}.parquet"
+        artifacts.write_table(path, pd.concat(rows), table.SCHEMA, {})
+    own = fake.name == "mine"
+    gt = np.array([pose.matrix(np.array(row[2:5], float), row[5]) for row in fake.poses.itertuples(index=False)])
+    pairs = [(k, k + 2 * ALONG - 1 - 2 * (k % ALONG)) for k in range(ALONG * (LINES - 1))] if not own else []
+    edges = np.array(pairs, np.int64).reshape(-1, 2)
+    graph = {"gt": gt, "edge_target": edges[:, 0], "edge_source": edges[:, 1], "registration_node": edges[:, 1]}
+    artifacts.write_arrays(root / f"data/graphs/{fake.name}.npz", graph, {})
+    _write_slam(root / "reports/slam", fake, gt, truth=not own)
+
+
+def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
+    rng = _rng(fake.name)
+    rows, trajectories = [], [_trajectory(fake, "gt", gt[:, :3, 3])]
+    if truth:
+        trajectories.append(_trajectory(fake, "truth", gt[:, :3, 3] + rng.normal(0, 1, (len(gt), 3))))
+    for i, method in enumerate(("navigation", "corrupted", *METHODS)):
+        for repetition in range(1 if method == "navigation" else REPETITIONS):
+            error = (3.0, 60.0)[i] if i < 2 else rng.uniform(5, 30)
+            measures = {"rmse_xyz_m": error, "truth_rmse_xyz_m": 1.1 * error if truth else np.nan}
+            measures["map_to_map_m"] = error / 5 if repetition < 2 and truth else np.nan
+            rows.append({"survey": fake.name, "method": method, "repetition": repetition, **measures})
+        drift = np.column_stack(
+            [np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))]
+        )
+        trajectories.append(_trajectory(fake, method, gt[:, :3, 3] + drift))
+    table_ = pd.DataFrame(rows).assign(**{name: np.nan for name in slam.ROWS.names if name.endswith("se2_m")})
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam.ROWS, {})
+    artifacts.write_table(
+        folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam.TRAJECTORIES, {}
+    )
+
+
+def _trajectory(fake: Fake, which: str, xyz: np.ndarray) -> pd.DataFrame:
+    columns = dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True))
+    return pd.DataFrame({"survey": fake.name, "which": which, "submap": range(len(xyz)), "yaw_rad": 0.0, **columns})
+
+
+def _write_training(root: Path) -> None:
+    step = np.arange(1, 101)
+    training = 2 * np.exp(-step / 30) + 0.4 + 0.1 * np.sin(step)
+    validation = np.where(step % 10 == 0, 2 * np.exp(-step / 25) + 0.6 + 2e-5 * (step - 60) ** 2, np.nan)
+    loss = pd.DataFrame({"step": step, "training": training, "validation": validation})
+    artifacts.write_bytes(root / "reports/train/loss.csv", loss.to_csv(index=False).encode())
+    artifacts.write_json(root / "reports/train/summary.json", {"training_kl": 0.45, "validation_kl": 0.81})
+    times = {name: {"mean_s": 10.0 ** (1 - i), "std_s": 0.1**i} for i, name in enumerate(METHODS)}
+    artifacts.write_json(root / "reports/runtime.json", {**times, "machine": {"cpu": "a fake", "threads": 1}})
+    artifacts.write_json(root / "models/fits.json", {"constant_train": {}})

@@ -1,0 +1,167 @@
+"""GICP in x and y: against an independent reference, against Open3D, and what must hold of any registration."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import reference_gicp
+import terrains
+from pointnetkl import gicp
+from pointnetkl.gicp import registration
+
+SETTINGS = gicp.Settings(
+    neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
+)
+FINE = dataclasses.replace(SETTINGS, tolerance_m=1e-6, max_iterations=200)
+EVERY_KIND = [*terrains.AMPLITUDES_M, "ridge"]
+
+
+def draws(cloud: gicp.Cloud, count: int, noise_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(3)
+    noise = noise_m * rng.standard_normal((count, *cloud.points.shape), dtype=np.float32)
+    return 3 * rng.standard_normal((count, 2)), noise
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_the_kernel_agrees_with_the_reference_within_a_millimetre(kind: str) -> None:
+    cloud = gicp.prepare(terrains.cloud(kind, 400), FINE)
+    moves, noise = draws(cloud, 100)
+    found = gicp.register_noisy(cloud, cloud, moves, noise, FINE).translation
+    normals = reference_gicp.normals(cloud.points, cloud.lists)
+    expected = []
+    for move, some in zip(moves, noise, strict=True):
+        moved = cloud.points + np.append(move, 0) + some
+        moved_normals = reference_gicp.normals(moved, cloud.lists)
+        expected.append(reference_gicp.register(moved, moved_normals, cloud.points, normals, FINE)[0])
+    apart = np.linalg.norm(found - np.stack(expected), axis=1)
+    assert np.mean(apart < 1e-3) >= 0.99
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_information_is_that_of_the_reference(kind: str) -> None:
+    source, target = (gicp.prepare(terrains.cloud(kind, 400, p), FINE) for p in (1, 2))
+    ours = gicp.register(source, target, FINE, (1.0, -1.0))
+    moved = source.points + np.array([1.0, -1.0, 0.0])
+    normals = [reference_gicp.normals(c.points, c.lists) for c in (source, target)]
+    theirs, information, _ = reference_gicp.register(moved, normals[0], target.points, normals[1], FINE)
+    assert np.allclose(ours.translation, theirs + np.array([1.0, -1.0]), atol=1e-4)
+    assert np.allclose(ours.information, information, rtol=1e-3, atol=1e-3 * information.max())
+
+
+def test_normals_are_those_of_the_reference_and_point_up() -> None:
+    cloud = gicp.prepare(terrains.cloud("rugged", 2000), SETTINGS)
+    expected = reference_gicp.normals(cloud.points, cloud.lists)
+    assert (cloud.normals[:, 2] >= 0).all()
+    assert np.allclose(np.abs(np.sum(cloud.normals * expected, axis=1)), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_keeping_matches_changes_nothing(kind: str) -> None:
+    cloud = gicp.prepare(terrains.cloud(kind, 1000), SETTINGS)
+    moves, noise = draws(cloud, 20)
+    moved = cloud.local + noise + np.pad(moves, ((0, 0), (0, 1))).astype(np.float32)[:, None]
+    normals = np.broadcast_to(cloud.normals, moved.shape).copy()
+    kept, anew = (registration._align(moved, normals, cloud, SETTINGS, keep) for keep in (True, False))
+    for one, other in zip(kept, anew, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("kind", ["mild", "rugged"])
+def test_a_cloud_moved_over_itself_is_moved_back(kind: str) -> None:
+    points = terrains.cloud(kind, 2000)
+    target = gicp.prepare(points, SETTINGS)
+    found = gicp.register(gicp.prepare(points + np.array([2.0, -1.5, 0.0]), SETTINGS), target, SETTINGS)
+    assert found.converged
+    assert found.matched_share == 1
+    assert np.allclose(found.translation, [-2.0, 1.5], atol=1e-3)
+
+
+def test_another_pass_over_rugged_ground_is_found_within_centimetres_wherever_the_map_lies() -> None:
+    for origin in ([0.0, 0.0, 0.0], [650_000.0, 6_400_000.0, -350.0]):
+        target = gicp.prepare(terrains.cloud("rugged", 4000, 1) + origin, SETTINGS)
+        source = gicp.prepare(terrains.cloud("rugged", 2000, 2, 60.0) + origin + [31.0, 20.0, 0.0], SETTINGS)
+        found = gicp.register(source, target, SETTINGS, (-30.0, -21.0))
+        assert found.converged
+        assert np.allclose(found.translation, [-31.0, -20.0], atol=0.1)
+
+
+def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
+    o3d = pytest.importorskip("open3d")
+    target = terrains.cloud("rugged", 2000, 1)
+    source = terrains.cloud("rugged", 2000, 2) + np.array([1.0, 0.7, 0.0])
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
+    theirs = o3d.pipelines.registration.registration_generalized_icp(*clouds, 20.0).transformation[:2, 3]
+    ours = gicp.register(*(gicp.prepare(points, SETTINGS) for points in (source, target)), SETTINGS)
+    assert np.allclose(ours.translation, theirs, atol=0.05)
+
+
+def test_registration_turns_with_the_clouds() -> None:
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    straight = gicp.prepare(terrains.cloud("ridge", 1000), FINE)
+    turned = gicp.prepare(straight.points @ turn.T, FINE)
+    # each cloud is in the order of its own grid
+    order = np.linalg.norm(turned.points[:, None] - straight.points @ turn.T, axis=2).argmin(axis=1)
+    moves, noise = draws(straight, 20)
+    one = gicp.register_noisy(straight, straight, moves, noise, FINE).translation
+    other = gicp.register_noisy(
+        turned, turned, moves @ turn[:2, :2].T, (noise @ turn.T)[:, order], FINE
+    ).translation
+    assert np.mean(np.linalg.norm(one @ turn[:2, :2].T - other, axis=1) < 1e-3) >= 0.95
+
+
+def test_clouds_too_far_apart_are_left_where_they_are() -> None:
+    cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
+    for start in ((500.0, 3.0), (5e7, 0.0)):
+        found = gicp.register(cloud, cloud, SETTINGS, start)
+        assert not found.converged
+        assert found.matched_share == 0
+        assert np.array_equal(found.translation, start)
+        assert np.array_equal(found.information, np.zeros((2, 2)))
+
+
+def test_a_part_that_overlaps_is_enough() -> None:
+    target = gicp.prepare(terrains.cloud("rugged", 3000, 1), SETTINGS)
+    beyond = terrains.cloud("rugged", 6000, 2, 180.0)
+    source = gicp.prepare(beyond[beyond[:, 0] > 10], SETTINGS)
+    near = dataclasses.replace(SETTINGS, max_distance_m=3.0)
+    found = gicp.register(source, target, near, (1.0, 0.5))
+    assert 0.2 < found.matched_share < 0.9
+    assert np.linalg.norm(found.translation) < 0.1
+
+
+def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registration() -> None:
+    rng = np.random.default_rng(0)
+    ground = terrains.cloud("mild", 500)
+    wall = np.column_stack([np.zeros(500), rng.uniform(-20, 20, 500), rng.uniform(-300, 0, 500)])
+    line = np.column_stack([np.linspace(0, 4000, 1000), np.zeros(1000), np.zeros(1000)])
+    clouds = [np.repeat(ground, 30, axis=0), wall, line, np.vstack([ground, [[9e4, -9e4, 0]]]), np.ones((50, 3))]
+    for points in (*clouds, ground[:3]):
+        cloud = gicp.prepare(points, SETTINGS)
+        found = gicp.register(cloud, cloud, SETTINGS, (0.3, 0.2))
+        assert np.isfinite(cloud.normals).all()
+        assert np.isfinite(found.translation).all()
+        assert (np.linalg.eigvalsh(found.information) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "why"),
+    [
+        (np.zeros((2, 3)), "3 or more points"),
+        (np.zeros((5, 2)), "3 or more points"),
+        (np.full((5, 3), np.nan), "not finite"),
+        (np.diag([2e5, 0, 0]), "200000 m"),
+    ],
+)
+def test_a_cloud_that_cannot_be_registered_is_refused_and_told_why(points: np.ndarray, why: str) -> None:
+    with pytest.raises(gicp.GicpError, match=why):
+        gicp.prepare(points, SETTINGS)
+
+
+@pytest.mark.parametrize(
+    "change", [{"neighbours": 2}, {"plane_epsilon": 0.0}, {"max_distance_m": -1.0}, {"max_iterations": 0}]
+)
+def test_settings_that_make_no_sense_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(gicp.GicpError, match=next(iter(change))):
+        dataclasses.replace(SETTINGS, **change)  # type: ignore[arg-type]

@@ -1,0 +1,158 @@
+"""Loop closures: which submaps close one, what their edges measure, and how well."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pointnetkl import footprint, graph_construction, loop_closure, survey_graph
+from pointnetkl.survey_graph import Closures
+from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
+
+SQUARE = np.stack(np.meshgrid(np.arange(0.5, 10), np.arange(0.5, 10)), -1).reshape(-1, 2)
+
+
+def close(lines: int, along: int, apart: float = 10.0) -> tuple[Closures, np.ndarray]:
+    submaps, truth = sail(lines, along, apart)
+    starts = loop_closure.starts("toy", submaps, SETTINGS)
+    return loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, REGISTRATION), truth
+
+
+def test_coverage_is_the_share_of_cells_in_common():
+    a, b = footprint.cells(SQUARE, 1.0), footprint.cells(SQUARE + np.array([4.0, 0.0]), 1.0)
+    assert footprint.coverage(a, a) == 1.0
+    assert footprint.coverage(a, b) == pytest.approx(0.6)
+
+
+def test_a_small_footprint_inside_a_large_one_is_covered_but_does_not_cover():
+    small, large = footprint.cells(SQUARE[:20], 1.0), footprint.cells(SQUARE, 1.0)
+    assert footprint.coverage(small, large) == 1.0
+    assert footprint.coverage(large, small) == pytest.approx(0.2)
+
+
+def test_cells_are_told_apart_on_either_side_of_the_origin():
+    corners = np.array([[0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+    assert len(footprint.cells(corners, 1.0)) == 4
+
+
+def test_a_loop_needs_the_asked_coverage():
+    footprints = footprint.Footprints(1.0)
+    footprints.add(SQUARE)
+    assert footprints.covering(SQUARE + np.array([4.0, 0.0]), 0.6, among=1).tolist() == [0]
+    assert footprints.covering(SQUARE + np.array([5.0, 0.0]), 0.6, among=1).tolist() == []
+    assert footprints.covering(SQUARE, 0.6, among=0).tolist() == []
+
+
+def test_the_submap_just_before_never_closes_a_loop():
+    # each submap lies over all the ones before it
+    submaps, truth = sail(1, 1)
+    pile = [dataclasses.replace(submaps[0], number=k) for k in range(3)]
+    starts = np.zeros((3, 2))
+    found = loop_closure.close(pile, truth.repeat(3, axis=0), starts, SPACING, SETTINGS, REGISTRATION)
+    assert [found.edges.target.tolist(), found.edges.source.tolist()] == [[0], [2]]
+
+
+def test_lines_too_far_apart_close_no_loops_and_a_single_line_closes_none():
+    assert len(close(2, 3, apart=30.0)[0].node) == 0
+    found, truth = close(1, 3)
+    assert survey_graph.errors(found, truth).shape == (0, 2)
+    assert survey_graph.registration_errors(found, truth).shape == (0, 2)
+
+
+def test_a_loop_closure_measures_the_relative_pose_of_its_submaps():
+    found, truth = close(3, 4)
+    assert len(found.node) >= 6
+    edges = found.edges
+    assert np.abs(survey_graph.errors(found, truth)).max() < 0.2
+    exact = np.linalg.inv(truth[edges.target]) @ truth[edges.source]
+    # z, roll, pitch and yaw are those of the poses handed in
+    assert edges.measured[:, :3, :3] == pytest.approx(exact[:, :3, :3])
+    assert edges.measured[:, 2, 3] == pytest.approx(exact[:, 2, 3])
+
+
+def test_every_registration_starts_elsewhere_by_a_draw_of_the_prior():
+    submaps, _ = sail(3, 100 // 3)
+    draws = loop_closure.starts("toy", submaps, dataclasses.replace(SETTINGS, prior_variance_m2=9.0))
+    assert draws.std() == pytest.approx(3.0, rel=0.2)
+    # a submap's own draw, whatever the others are
+    assert (
+        loop_closure.starts("toy", submaps[7:9], SETTINGS) == loop_closure.starts("toy", submaps, SETTINGS)[7:9]
+    ).all()
+
+
+def test_a_corrected_submap_replaces_the_one_that_was_handed_in():
+    submaps, truth = sail(3, 1)
+    stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
+    poses[2, :2, 3] += [1.0, 0.5]  # navigation errs here, and only here
+    found = loop_closure.close(stack, poses, np.zeros((5, 2)), SPACING, SETTINGS, REGISTRATION)
+    assert found.correction[0] == pytest.approx([-1.0, -0.5], abs=1e-2)
+    assert found.edges.measured[:, :2, 3] == pytest.approx(np.zeros((len(found.edges.source), 2)), abs=2e-2)
+
+
+def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():
+    submaps, truth = sail(2, 3)
+    flat = [dataclasses.replace(s, points=s.points * [1, 1, 0] - [0, 0, 40]) for s in submaps]
+    starts, errors = np.zeros((6, 2)), []
+    for factor in (2.0, None):
+        settings = dataclasses.replace(SETTINGS, overlap_factor=factor)
+        found = loop_closure.close(flat, truth, starts, SPACING, settings, REGISTRATION)
+        errors.append(np.abs(survey_graph.errors(found, truth)).max())
+    assert errors[0] < 2.0 < 5.0 < errors[1]
+
+
+def test_errors_are_in_the_source_frame():
+    found, truth = close(2, 3)
+    missed = truth.copy()
+    missed[:, :2, 3] += np.eye(2)[0] * (np.arange(6) >= 3)[:, None]  # the whole second line, by 1 m east
+    change = survey_graph.errors(found, missed) - survey_graph.errors(found, truth)
+    # that line heads west, so east is minus its x
+    assert change == pytest.approx(np.tile([-1.0, 0.0], (len(change), 1)), abs=1e-9)
+
+
+def test_gt_is_closer_to_the_truth_than_navigation():
+    _, made = graph(4, 4)
+    figures = survey_graph.summary(made)
+    assert figures["gt_truth_rmse_xyz_m"] < 0.7 * figures["navigation_truth_rmse_xyz_m"]
+
+
+def test_a_graph_comes_back_from_its_file_and_is_made_the_same_twice():
+    arrays = survey_graph.to_arrays(graph()[1])
+    for again in (survey_graph.to_arrays(survey_graph.from_arrays(arrays)), survey_graph.to_arrays(graph()[1])):
+        assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
+
+
+def test_a_graph_without_truth_has_errors_that_are_not_numbers():
+    arrays = survey_graph.to_arrays(graph(known=False)[1])
+    assert np.isnan(arrays["registration_error_truth_m"]).all()
+    assert np.isfinite(arrays["registration_error_gt_m"]).all()
+    assert survey_graph.summary(survey_graph.from_arrays(arrays))["gt_truth_rmse_xyz_m"] is None
+
+
+def test_truth_is_interpolated_through_the_turn_of_the_compass():
+    trajectory = pd.DataFrame(
+        {"time_s": [0.0, 2.0], "x_m": [0.0, 4.0], "y_m": 1.0, "z_m": -5.0, "yaw_rad": [3.1, -3.1]}
+    )
+    T = graph_construction.truth_at(np.array([1.0]), trajectory)[0]
+    assert T[:3, 3] == pytest.approx([2.0, 1.0, -5.0])
+    assert abs(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(np.pi)
+
+
+def test_a_truth_that_does_not_reach_a_submap_is_refused():
+    trajectory = pd.DataFrame({"time_s": [0.0, 2.0], "x_m": 0.0, "y_m": 0.0, "z_m": 0.0, "yaw_rad": 0.0})
+    with pytest.raises(graph_construction.GraphConstructionError, match="submap is at 3"):
+        graph_construction.truth_at(np.array([1.0, 3.0]), trajectory)
+    assert np.isnan(graph_construction.truth_at(np.array([1.0]), trajectory[:0])).all()
+
+
+def test_a_submap_without_covariance_that_closes_a_loop_is_named():
+    _, made = graph()
+    q = {int(n): np.eye(2) for n in made.number if n != made.closures.node[0]}
+    with pytest.raises(survey_graph.SurveyGraphError, match=f"submap {made.closures.node[0]} closes"):
+        survey_graph.edge_covariances(made.number, q, made.closures, "toy")
+
+
+def test_submaps_without_poses_are_refused():
+    submaps, truth = sail(1, 3)
+    with pytest.raises(loop_closure.LoopClosureError, match="3 submaps and 2 poses"):
+        loop_closure.close(submaps, truth[:2], None, SPACING, SETTINGS, REGISTRATION)

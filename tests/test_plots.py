@@ -1,0 +1,131 @@
+"""Figures are functions of tables: the same in, the same bytes out, and what they must show is there."""
+
+import io
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pointnetkl import figures, maps, paper, plots
+
+KL = pd.DataFrame(
+    {
+        "survey": ["borno_8"] * 2 + ["mine"] * 2,
+        "method": ["constant", "pointnetkl"] * 2,
+        "mean": [2.0, 1.0, 3.0, 0.5],
+        "ci_low": [1.5, 0.8, 2.5, 0.4],
+        "ci_high": [2.5, 1.2, 3.5, 0.6],
+        "nees": [0.9, 1.8, 1.1, 40.0],
+        "paper": pd.Series([None, 1.0578, None, None], dtype=object),
+    }
+)
+SLAM = KL.assign(
+    rmse_xyz_m=KL["mean"],
+    truth_rmse_xyz_m=pd.Series([9.0, 8.0, None, None], dtype=object),
+    paper_rmse_xyz_m=KL["paper"],
+)
+LOSS = pd.DataFrame({"step": [1, 2, 3, 4], "training": [4.0, 3.0, 2.0, 1.0], "validation": [np.nan, 2.5, 2.0, 2.2]})
+
+
+def graph() -> maps.Graph:
+    """A square track with one loop closure."""
+    square = 100.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    nodes = np.arange(4)
+    positions = {"gt": square, "corrupted": 1.2 * square}
+    return maps.Graph(positions, np.stack([nodes, nodes + 1], -1), np.array([[0, 4]]))
+
+
+POINTS = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+EIGENVALUES = {"borno_8": np.sort(9.0 * np.abs(POINTS[:30, :2]))}
+EVERY: dict[str, Callable[[], Figure]] = {
+    "training": lambda: plots.training(LOSS),
+    "kl": lambda: plots.divergence(KL),
+    "calibration": lambda: plots.calibration(KL),
+    "slam": lambda: plots.slam_error(SLAM),
+    "labels": lambda: plots.eigenvalues(EIGENVALUES, 9.0, 0.01),
+    "accuracy_time": lambda: plots.accuracy_time(KL, {"pointnetkl": 0.01, "constant": 1e-4}),
+    "swath": lambda: maps.swath(100 * POINTS - [0, 0, 200], "baltic"),
+    "canonical": lambda: maps.canonical({"baltic": POINTS, "borno_1": POINTS}),
+    "bathymetry": lambda: maps.bathymetry({"borno_8": (100 * POINTS, 5.0)}),
+    "trajectories": lambda: maps.trajectories({"borno_8": graph(), "mine": graph()}),
+}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_figure_is_small_the_same_bytes_twice_and_has_no_date(name: str):
+    first, second = plots.png(EVERY[name]()), plots.png(EVERY[name]())
+    assert first == second
+    assert len(first) < 300_000
+    image = Image.open(io.BytesIO(first))
+    assert not image.text  # matplotlib would write its version
+    assert image.width == round(plots.WIDTH_IN * plots.DPI)
+
+
+@pytest.mark.parametrize("name", ["training", "swath", "bathymetry", "trajectories", "labels", "accuracy_time"])
+def test_every_axis_names_its_unit(name: str):
+    axes = EVERY[name]().axes[0]
+    assert "(" in axes.get_xlabel() or axes.get_xlabel() in ("optimiser step", "seconds per submap, one thread")
+    assert "(" in axes.get_ylabel() or name == "labels"
+
+
+def test_the_training_curve_marks_the_step_with_the_least_validation_divergence():
+    (text,) = [t.get_text() for t in plots.training(LOSS).axes[0].texts]
+    assert "step 3" in text
+
+
+def test_a_training_curve_without_a_validation_is_still_drawn():
+    assert plots.png(plots.training(LOSS.assign(validation=np.nan)))
+
+
+def test_each_survey_has_a_panel_and_each_method_a_line():
+    figure = plots.divergence(KL)
+    assert [axes.get_title() for axes in figure.axes] == ["Bornö 8", "mine"]
+    assert [label.get_text() for label in figure.axes[1].get_yticklabels()] == ["constant", "pointnetkl"]
+
+
+def test_a_table_without_rows_makes_an_empty_figure():
+    assert plots.png(plots.calibration(KL.iloc[:0]))
+
+
+def test_the_front_of_accuracy_and_time_falls():
+    front = plots.accuracy_time(KL, {"pointnetkl": 0.01, "constant": 1e-4}).axes[0].lines[0]
+    assert (np.diff(front.get_ydata()) <= 0).all()
+
+
+def test_a_depth_map_holds_the_mean_depth_of_each_cell():
+    points = np.array([[0.0, 0.0, -10.0], [0.5, 0.5, -20.0], [10.0, 0.0, -30.0]])
+    depth, (left, right, _, _) = maps.raster(points, 1.0)
+    assert depth[0, 0] == 15.0
+    assert np.isnan(depth[0, 1])
+    assert depth[0, -1] == 30.0
+    assert left <= 0.0
+    assert right >= 10.0
+
+
+def test_trajectories_of_one_survey_share_a_scale():
+    gt, corrupted = maps.trajectories({"borno_8": graph()}).axes[:2]
+    assert gt.get_xlim() == corrupted.get_xlim()
+    assert gt.get_ylim() == corrupted.get_ylim()
+
+
+def test_a_straight_stretch_is_found_beyond_a_turn():
+    corner = np.concatenate(
+        [np.stack([np.arange(0, 300, 2.0), np.zeros(150)], -1), [[300.0, y] for y in range(0, 900, 2)]]
+    )
+    first, last = figures.straight_stretch(corner, 500.0)
+    assert corner[first, 0] == corner[last, 0] == 300.0
+    assert corner[last, 1] - corner[first, 1] == pytest.approx(500, abs=4)
+
+
+def test_a_short_survey_gives_a_shorter_stretch():
+    line = np.stack([np.linspace(0, 80, 41), np.zeros(41)], -1)
+    assert figures.straight_stretch(line, 500.0) == (0, 40)
+
+
+def test_surveys_and_methods_are_called_as_in_the_paper():
+    assert [paper.title(name) for name in ("borno_8", "thwaites_11", "monte_carlo", "my_survey")] == [
+        "Bornö 8", "Thwaites 11", "Monte Carlo", "my_survey"
+    ]  # fmt: skip

@@ -1,0 +1,108 @@
+"""Pose graphs: in whose frame Q is, and what is recovered from what."""
+
+import numpy as np
+import pytest
+
+from pointnetkl import pose, pose_graph
+from pointnetkl.pose_graph import Edges, PoseGraph
+from toy_survey import CLOSURE, DEAD_RECKONING
+
+# A first line east; a second one crosses it northwards: its submap's x is the map's y.
+CROSSING = np.array(
+    [
+        pose.matrix(np.array([0.0, 0.0, -20.0]), 0.0),
+        pose.matrix(np.array([100.0, 0.0, -20.0]), 0.0),
+        pose.matrix(np.array([200.0, -100.0, -20.0]), 0.0),
+        pose.matrix(np.array([100.0, 0.0, -20.0]), np.pi / 2),
+    ]
+)
+LONG_X = np.diag([1e4, 1e-2])  # next to nothing is known along x
+
+
+def closure(target: int, source: int, poses: np.ndarray, shift: tuple[float, float]) -> Edges:
+    """Return the edge that a registration makes which misses by `shift` in the map."""
+    missed = poses[source].copy()
+    missed[:2, 3] += shift
+    measured = np.linalg.inv(poses[target]) @ missed
+    return Edges(np.array([target]), np.array([source]), measured[None])
+
+
+def moved_by(edges: Edges, q: np.ndarray) -> np.ndarray:
+    """Return how far the closure moves the last node, in the map."""
+    graph = PoseGraph(CROSSING[0], edges, pose_graph.closure_covariances(q[None], CLOSURE))
+    optimised = graph.optimise(pose_graph.between(CROSSING), DEAD_RECKONING, CROSSING)
+    return (optimised - CROSSING)[3, :2, 3]
+
+
+def test_q_enters_unrotated_when_the_edge_runs_from_target_to_source():
+    # Q is large along the source's x, the map's y: there the miss is not believed, across it is.
+    moved = moved_by(closure(1, 3, CROSSING, (4.0, 4.0)), LONG_X)
+    assert moved[0] > 2.0  # what two dead-reckoning edges of 5 m yield against a sure closure
+    assert abs(moved[1]) < 0.1
+
+
+def test_q_must_be_rotated_when_the_edge_runs_the_other_way():
+    there = closure(1, 3, CROSSING, (4.0, 4.0))
+    back = Edges(there.source, there.target, np.linalg.inv(there.measured))
+    R = CROSSING[1][:2, :2].T @ CROSSING[3][:2, :2]  # turns the source's frame to the target's
+    wrong, right = moved_by(back, LONG_X), moved_by(back, R @ LONG_X @ R.T)
+    assert right == pytest.approx(moved_by(there, LONG_X), abs=0.05)
+    assert abs(wrong[0]) < 0.1 < wrong[1]
+
+
+def test_the_rotation_stands_before_the_translation_in_the_covariance():
+    full = pose_graph.closure_covariances(LONG_X[None], CLOSURE)[0]
+    assert np.diag(full) == pytest.approx([1e-4, 1e-4, 0.0316**2, 1e4, 1e-2, 1e-4])
+
+
+def test_a_graph_without_noise_is_recovered_from_a_wrong_start():
+    edges = closure(1, 3, CROSSING, (0.0, 0.0))
+    graph = PoseGraph(CROSSING[0], edges, pose_graph.closure_covariances(0.1 * np.eye(2)[None], CLOSURE))
+    turns = [pose.matrix(np.zeros(3), yaw) for yaw in (0.1, -0.2, 0.1)]
+    wrong = pose_graph.chain(CROSSING[0], pose_graph.between(CROSSING) @ np.array(turns))
+    optimised = graph.optimise(pose_graph.between(CROSSING), DEAD_RECKONING, wrong)
+    assert optimised == pytest.approx(CROSSING, abs=1e-5)
+
+
+def test_dead_reckoning_along_the_relative_poses_returns_the_poses():
+    assert pose_graph.chain(CROSSING[0], pose_graph.between(CROSSING)) == pytest.approx(CROSSING)
+
+
+def test_without_loop_closures_the_estimate_is_dead_reckoning():
+    none = Edges(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 4)))
+    graph = PoseGraph(CROSSING[0], none, np.empty((0, 6, 6)))
+    optimised = graph.optimise(pose_graph.between(CROSSING), DEAD_RECKONING, CROSSING)
+    assert optimised == pytest.approx(CROSSING, abs=1e-9)
+
+
+def test_the_same_graph_has_the_same_solution_to_the_last_bit():
+    edges = closure(1, 3, CROSSING, (4.0, 4.0))
+    assert (moved_by(edges, LONG_X) == moved_by(edges, LONG_X)).all()
+
+
+def test_better_covariances_of_the_closures_make_a_smaller_error():
+    rng = np.random.default_rng(0)
+    truth = np.array([pose.matrix(np.array([10.0 * (k % 6), 10.0 * (k // 6), 0.0]), 0.3 * k) for k in range(36)])
+    pairs = np.array([(k, k + 6) for k in range(30)])
+    a = rng.uniform(0, np.pi, 30)
+    R = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).transpose(2, 0, 1)
+    sigma = np.array([0.05, 5.0])  # well known along one axis of each, hardly along the other
+    q = R @ np.diag(sigma**2) @ R.transpose(0, 2, 1)
+    right, blind = [], []
+    for _ in range(10):
+        miss = np.tile(np.eye(4), (30, 1, 1))
+        miss[:, :2, 3] = np.einsum("eij,ej->ei", R, rng.normal(size=(30, 2)) * sigma)
+        between = np.linalg.inv(truth[pairs[:, 0]]) @ truth[pairs[:, 1]]
+        edges = Edges(pairs[:, 0], pairs[:, 1], between @ miss)
+        turns = np.array([pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0, 0.03, 35)])
+        noisy = pose_graph.between(truth) @ turns
+        for errors, given in ((right, q), (blind, np.broadcast_to(q.mean(axis=0), q.shape))):
+            graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(given, CLOSURE))
+            found = graph.optimise(noisy, DEAD_RECKONING, pose_graph.chain(truth[0], noisy))
+            errors.append(np.linalg.norm((found - truth)[:, :3, 3], axis=1).mean())
+    assert np.mean(right) < 0.9 * np.mean(blind)
+
+
+def test_noise_that_is_not_positive_is_refused():
+    with pytest.raises(pose_graph.PoseGraphError, match="yaw_rad is 0"):
+        pose_graph.ClosureNoise(0.01, 0.01, 0.0, 0.01)
