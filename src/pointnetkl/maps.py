@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
@@ -29,9 +30,9 @@ def swath(soundings: np.ndarray, survey: str) -> Figure:
     """Draw a piece of a swath, as the paper's Fig. 2, from soundings (n, 3): along track, across, z; metres."""
     x, y, z = soundings.T
     height = (plots.WIDTH_IN - 0.8) * float(np.ptp(y) / np.ptp(x))
-    figure = Figure((plots.WIDTH_IN, height + 1.7), layout="constrained")
+    figure = Figure((plots.WIDTH_IN, height + 1.5), layout="constrained")
     axes = figure.subplots()
-    side_m = 1.2 * float(np.sqrt(np.ptp(x) * np.ptp(y) / len(x)))  # of a sounding's share of the area
+    side_m = 1.5 * float(np.sqrt(np.ptp(x) * np.ptp(y) / len(x)))  # of a sounding's share of the area
     side_points = side_m * 72 * (plots.WIDTH_IN - 0.8) / float(np.ptp(x))
     drawn = axes.scatter(x, y, c=-z, s=side_points**2, marker="s", cmap=DEPTHS, lw=0)
     axes.set(xlabel="along the track (m)", ylabel="across (m)", title=paper.title(survey), aspect="equal")
@@ -63,6 +64,7 @@ def bathymetry(surveys: Mapping[str, tuple[np.ndarray, float]]) -> Figure:
     figure, grid = _grid(sizes, 1.5)
     for axes, (survey, (depth, extent)) in zip(grid, rasters.items(), strict=True):
         drawn = axes.imshow(depth, origin="lower", extent=extent, cmap=DEPTHS, interpolation="nearest")
+        axes.imshow(_shade(depth, extent), origin="lower", extent=extent, cmap="gray", alpha=0.35, vmin=0, vmax=1)
         _map_axes(axes, paper.title(survey))
         figure.colorbar(drawn, ax=axes, label="depth (m)", orientation="horizontal", shrink=0.8)
     return figure
@@ -99,9 +101,15 @@ def raster(points: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[float,
     return depth, (float(low[0]), float(low[0] + columns * size), float(low[1]), float(low[1] + rows * size))
 
 
+def _shade(depth: np.ndarray, extent: tuple[float, float, float, float]) -> np.ndarray:
+    # light from the north-west: where a cliff takes all the colours, flat ground still shows its forms
+    cell = (extent[1] - extent[0]) / depth.shape[1]
+    return np.asarray(LightSource(315, 40).hillshade(-depth, vert_exag=4, dx=cell, dy=cell))
+
+
 def _grid(sizes: Sequence[tuple[float, float]], extra_in: float) -> tuple[Figure, np.ndarray]:
     """Return a figure and a panel for each map of these sizes (width, height), two in a row, as high as need be."""
-    heights = [float(np.clip(3.5 * high / max(wide, 1e-9), 1.0, 5.0)) + extra_in for wide, high in sizes]
+    heights = [float(np.clip(3.5 * high / max(wide, 1e-9), 1.0, 4.2)) + extra_in for wide, high in sizes]
     rows = [max(heights[i : i + 2]) for i in range(0, len(heights), 2)]
     figure = Figure((plots.WIDTH_IN, sum(rows)), layout="constrained")
     grid = figure.subplots(len(rows), min(2, len(sizes)), squeeze=False, height_ratios=rows).ravel()

@@ -18,7 +18,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#777777"
 )  # fmt: skip
 WIDTH_IN, DPI = 8.5, 130
-_PALETTE = 192  # colours of a saved figure: a fifth of the bytes, no visible loss
+_LARGEST = 250_000  # bytes of a saved figure: a larger one is saved in 256 colours
 
 
 def png(figure: Figure) -> bytes:
@@ -28,10 +28,13 @@ def png(figure: Figure) -> bytes:
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
     image = Image.fromarray(pixels[..., :3])
+    whole = _encoded(image)
+    return whole if len(whole) < _LARGEST else _encoded(image.quantize(256, dither=Image.Dither.NONE))
+
+
+def _encoded(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    image.quantize(_PALETTE, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        buffer, "PNG", optimize=True
-    )
+    image.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
@@ -43,8 +46,8 @@ def training(loss: pd.DataFrame) -> Figure:
     figure = Figure((WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
     judged = loss.dropna(subset=["validation"])
-    axes.plot(loss["step"], loss["training"], color=SKY, linewidth=1, label="training batch")
-    axes.plot(judged["step"], judged["validation"], color=BLUE, marker=".", label="validation, all of it")
+    axes.plot(loss["step"], loss["training"], color=SKY, linewidth=1, label="training, since the point before")
+    axes.plot(judged["step"], judged["validation"], color=BLUE, marker=".", label="validation")
     if len(judged):
         best = judged.loc[judged["validation"].idxmin()]
         axes.axvline(best["step"], color=GREY, linestyle=":", linewidth=1)

@@ -29,7 +29,7 @@ class _Found:
     labels: Mapping[str, Labels]
     canonical: Mapping[str, voxel.Clouds]
     tests: Mapping[str, Test]
-    training: Mapping[str, Any]  # reports/train/summary.json
+    training: Mapping[str, float]  # PointNetKL's KL in training and validation, nats
     runtime: Mapping[str, Any]
 
 
@@ -65,7 +65,7 @@ def _read(folders: Folders, study: Study) -> _Found:
             n: voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path)) for n, path in clouds.items()
         },
         tests={name: results.read_test(folders, name, labels[name]) for name in study.test},
-        training=artifacts.read_json(folders.reports / "train/summary.json"),
+        training=results.read_training(folders),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
     )
 
@@ -90,10 +90,10 @@ def _numbers(
             ),
         }
     tests = found.tests.items()
-    training = {which: found.training.get(f"{which}_kl") for which in ("training", "validation")}
     return {
         "datasets": datasets,
-        "kl": training | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
+        "kl": {**found.training}
+        | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
         "calibration": {name: summary.calibrations(found.labels[name], test) for name, test in tests},
         "slam": {name: summary.slam(name, test, settings) for name, test in tests},
     }

@@ -162,6 +162,19 @@ def read_soundings(folders: Folders, name: str, first: int, last: int) -> np.nda
     return artifacts.read_table(path, survey.SOUNDINGS, only)[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
 
 
+def read_training(folders: Folders) -> dict[str, float]:
+    """Read PointNetKL's mean KL divergence in training and validation, nats.
+
+    Raises:
+        ResultsError: one of them is missing.
+    """
+    path = folders.reports / "train/summary.json"
+    found = artifacts.read_json(path).get("kl")
+    if not isinstance(found, dict) or not {"training", "validation"} <= set(found):
+        raise ResultsError(f"{path}: must have kl.training and kl.validation; run dvc repro train")
+    return {which: float(found[which]) for which in ("training", "validation")}
+
+
 def read_loss(folders: Folders) -> pd.DataFrame:
     """Read the KL divergence by training step.
 

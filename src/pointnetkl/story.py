@@ -89,8 +89,8 @@ def _labels(shown: Blocks) -> Section:
     return Section(
         "Labels",
         (
-            "A label is the second moment of the registration's errors from starts drawn with 9 m² in x and y. Near"
-            " 9 m² the seabed told nothing; near 0 it told the position. The smaller eigenvalue is of the direction"
+            "A label is the second moment of the registration's errors from starts drawn about the truth (variance:"
+            " the prior, 9 m² in the paper). Near the prior the seabed told nothing, near 0 the position. The smaller eigenvalue is of the direction"
             " that the terrain holds best. Whiskers of the figure span 5 to 95 %, boxes the quartiles.",
         ),
         shown["labels"],
@@ -131,6 +131,8 @@ def _kl(shown: Blocks) -> Section:
         (
             "Neighbouring submaps overlap and share terrain: they are not independent, and the true intervals"
             " are wider.",
+            "Where most labels are smaller than the floor (see Labels) the mean with the floor says little: there"
+            " every small Q is as good as any other. Read mean_floor0 and the calibration too.",
         ),
     )
 
