@@ -193,5 +193,7 @@ def _write_training(root: Path) -> None:
     artifacts.write_bytes(root / "reports/train/loss.csv", loss.to_csv(index=False).encode())
     artifacts.write_json(root / "reports/train/summary.json", {"kl": {"training": 0.45, "validation": 0.81}})
     times = {name: {"mean_s": 10.0 ** (1 - i), "std_s": 0.1**i} for i, name in enumerate(METHODS)}
-    artifacts.write_json(root / "reports/runtime.json", {**times, "machine": {"cpu": "a fake", "threads": 1}})
+    artifacts.write_json(
+        root / "reports/runtime.json", {**times, "machine": {"cpu": "a fake", "threads": 1, "params": {"runs": 50}}}
+    )
     artifacts.write_json(root / "models/fits.json", {"constant_train": {}})

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+
 from workspace import Workspace
 
 SCALE = (Path(__file__).parents[1] / "scales/smoke").read_text().split()

@@ -8,7 +8,17 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-COPIED = ("pipeline", "src", "scales", "dvc.yaml", "params.yaml", "pyproject.toml", ".dvc/config", ".dvcignore", ".gitignore")
+COPIED = (
+    "pipeline",
+    "src",
+    "scales",
+    "dvc.yaml",
+    "params.yaml",
+    "pyproject.toml",
+    ".dvc/config",
+    ".dvcignore",
+    ".gitignore",
+)
 
 
 class Workspace:
@@ -31,7 +41,12 @@ class Workspace:
     def run(self, *command: str, check: bool = True, **environment: str) -> subprocess.CompletedProcess[str]:
         """Run a command in the folder, with this Python's programs first in the path."""
         paths = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        names = {"GIT_AUTHOR_NAME": "t", "GIT_AUTHOR_EMAIL": "t@t", "GIT_COMMITTER_NAME": "t", "GIT_COMMITTER_EMAIL": "t@t"}
+        names = {
+            "GIT_AUTHOR_NAME": "t",
+            "GIT_AUTHOR_EMAIL": "t@t",
+            "GIT_COMMITTER_NAME": "t",
+            "GIT_COMMITTER_EMAIL": "t@t",
+        }
         result = subprocess.run(
             command,
             cwd=self.folder,
@@ -40,7 +55,9 @@ class Workspace:
             text=True,
         )
         if check and result.returncode:
-            raise AssertionError(f"{' '.join(command)} ended with {result.returncode}:\n{result.stdout}\n{result.stderr}")
+            raise AssertionError(
+                f"{' '.join(command)} ended with {result.returncode}:\n{result.stdout}\n{result.stderr}"
+            )
         return result
 
     def commit(self, message: str) -> None:

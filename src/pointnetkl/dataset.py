@@ -130,10 +130,10 @@ def _join(parts: Sequence[Samples]) -> Samples:
 
 def _held_back(name: str, count: int, share: float, blocks: int, seed: int) -> np.ndarray:
     """Return which of a survey's submaps are validated on, (count,) bool."""
+    if count < 2:
+        raise DatasetError(f"{name}: has {count} submap, too few to train on some and validate on others; drop it")
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    total = max(1, round(share * count))
-    if count <= total:
-        raise DatasetError(f"{name}: has {count} submaps, too few to train on some and validate on others; drop it")
+    total = min(max(1, round(share * count)), count - 1)
     held_back = np.zeros(count, bool)
     stretches = np.array_split(np.arange(count), min(blocks, total))
     for stretch, size in zip(stretches, _equal_parts(total, len(stretches)), strict=True):

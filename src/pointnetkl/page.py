@@ -24,7 +24,8 @@ th:first-child, td:first-child { position: sticky; left: 0; background: #fff; }
 th:first-child { background: #f4f4f4; } .number { text-align: right; } .text { text-align: left; }
 tbody tr:hover { background: #f3f8fc; }
 figure { margin: 1rem 0; }
-.image { overflow-x: auto; } img { width: 100%; min-width: 36rem; height: auto; } figcaption { font-size: .9rem; color: #444; }
+.image { overflow-x: auto; } img { width: 100%; min-width: 36rem; height: auto; }
+figcaption { font-size: .9rem; color: #444; }
 nav a { margin-right: .9rem; }
 """
 

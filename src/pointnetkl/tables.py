@@ -124,9 +124,11 @@ def label_quantiles(eigenvalues: Mapping[str, np.ndarray], datasets: Numbers) ->
 
 
 def machine(runtime: Numbers) -> str:
-    """Return the machine that the times are of, in words."""
-    named = runtime.get("machine", {})
-    return ", ".join(f"{key} {value}" for key, value in named.items()) if isinstance(named, Mapping) else str(named)
+    """Return the machine that the times are of, and how many submaps, points and label runs, in words."""
+    named = dict(runtime.get("machine", {}))
+    timed = named.pop("params", {})  # what was timed
+    kept = {key: timed[key] for key in ("submaps", "points", "runs") if key in timed}
+    return ", ".join(f"{key} {value}" for key, value in (named | kept).items())
 
 
 def _by_method(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:

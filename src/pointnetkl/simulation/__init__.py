@@ -1,6 +1,6 @@
 """Surveys that nobody had to sail: a seabed, a vehicle and its sonar make raw pings, and the truth is known."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,9 @@ import pyarrow as pa
 
 from pointnetkl import artifacts
 from pointnetkl.errors import PointNetKLError
+from pointnetkl.settings import require_positive, require_seed
 from pointnetkl.simulation import grid, seabed, sonar, vehicle
+from pointnetkl.simulation.vehicle import Layout  # `vehicle` is also the name of a setting
 
 _NAVIGATION = ("time_s", "x_m", "y_m", "depth_m", "roll_rad", "pitch_rad", "heading_rad")
 _SOUNDING = ("along_m", "across_m", "down_m")
@@ -40,8 +42,17 @@ class Settings:
     altitude_m: float
     ping_spacing_m: float
     beam_spacing_m: float
-    layout: vehicle.Layout
+    layout: Layout
     terrain: seabed.Settings | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse lengths that are none.
+
+        Raises:
+            ValueError: a length is not positive, or the seed is negative.
+        """
+        require_positive(self, "altitude_m", "ping_spacing_m", "beam_spacing_m")
+        require_seed(self.seed)
 
 
 @dataclass(frozen=True)
@@ -86,10 +97,8 @@ def survey(settings: Settings, craft: vehicle.Settings, terrain: seabed.Seabed) 
         yield _line(track, on, navigation[on], angle, settings.altitude_m, craft, terrain, line_rng)
 
 
-def patch(
-    terrain: seabed.Settings, n_points: int, spacing_m: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Return a cloud (n_points, 3), metres, centred: a jittered grid 1.7 times as long as wide, on random ground."""
+def patch(terrain: seabed.Settings, n_points: int, spacing_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a cloud (n_points, 3), metres, centred: a jittered grid 1.7 times as long as wide."""
     rows = max(1, round(np.sqrt(n_points / 1.7)))
     cell = np.arange(n_points)
     xy = np.stack([cell // rows, cell % rows], axis=1) + rng.uniform(0, 1, (n_points, 2))
@@ -113,9 +122,7 @@ def _line(
     attitude = np.stack([track.roll[on], track.pitch[on]], axis=1)
     measured = attitude + np.deg2rad(craft.attitude.error_deg) * rng.normal(size=attitude.shape)
     position = np.stack([track.x[on], track.y[on], track.z[on]], axis=1)
-    heard = sonar.ping(
-        terrain, position, track.yaw[on], attitude, measured, angle, altitude_m, craft.sonar, rng
-    )
+    heard = sonar.ping(terrain, position, track.yaw[on], attitude, measured, angle, altitude_m, craft.sonar, rng)
     truth = {"time_s": track.time_s[on], "x_m": position[:, 0], "y_m": position[:, 1], "z_m": position[:, 2]}
     heading = np.mod(np.pi / 2 - navigation[:, 2], 2 * np.pi)  # compass: clockwise from north
     logged = (track.time_s[on], *navigation[:, :2].T, -position[:, 2], *measured.T, heading)

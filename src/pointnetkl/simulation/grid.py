@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage, signal
@@ -95,7 +96,7 @@ def read(path: Path, roughness_m: float = 0.0, seed: int = 0) -> Grid:
     )
 
 
-def _raster(path: Path) -> tuple[np.ndarray, object, object]:
+def _raster(path: Path) -> tuple[np.ndarray, Any, Any]:
     import rasterio  # slow to import, and most surveys have no grid
 
     try:
@@ -120,5 +121,5 @@ def _rectangle(length_m: float, width_m: float, azimuth_rad: float, cell: tuple[
     a, b = length_m / 2 + margin, width_m / 2 + margin
     half_x, half_y = abs(c) * a + abs(s) * b, abs(s) * a + abs(c) * b
     columns, rows = (int(np.ceil(half / abs(step))) for half, step in ((half_x, cell[0]), (half_y, cell[1])))
-    y, x = np.meshgrid(np.arange(-rows, rows + 1) * cell[1], np.arange(-columns, columns + 1) * cell[0], indexing="ij")
+    y, x = np.arange(-rows, rows + 1)[:, None] * cell[1], np.arange(-columns, columns + 1) * cell[0]
     return ((abs(c * x + s * y) <= a) & (abs(c * y - s * x) <= b)).astype(float)

@@ -18,9 +18,7 @@ _ANGLES = np.arange(_SLOPES) * (2 * np.pi / _SLOPES)
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 
 
-def field(
-    x: np.ndarray, y: np.ndarray, seed: int, length_m: float, octaves: int = 1, gain: float = 0.5
-) -> np.ndarray:
+def field(x: np.ndarray, y: np.ndarray, seed: int, length_m: float, octaves: int = 1, gain: float = 0.5) -> np.ndarray:
     """Return a random field of zero mean and unit variance at the points x, y (n,) metres.
 
     `length_m` is the lattice step of the coarsest octave, about the distance from a hill to the next hollow; each
@@ -53,8 +51,8 @@ def share(values: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def hashed(i: int, j: int, seed: int) -> int:
-    """Return 32 well-mixed bits of two whole numbers and a seed."""
+def _hashed(i: int, j: int, seed: int) -> np.uint64:
+    # 32 well-mixed bits of two whole numbers and a seed
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
     h += np.uint64(seed) * np.uint64(0xD6E8FEB86659FD93)
     # two rounds of fold and multiply: with one, neighbouring nodes are visibly alike
@@ -65,7 +63,7 @@ def hashed(i: int, j: int, seed: int) -> int:
 
 @numba.njit(cache=True, nogil=True)
 def _node(i: int, j: int, seed: int, dx: float, dy: float) -> float:
-    k = hashed(i, j, seed) % np.uint64(_SLOPES)
+    k = _hashed(i, j, seed) % np.uint64(_SLOPES)
     return _COS[k] * dx + _SIN[k] * dy
 
 
@@ -90,7 +88,8 @@ def _octaves(
     for k in range(octaves):
         c, s = math.cos(seed + k * _TURN) * frequency, math.sin(seed + k * _TURN) * frequency
         for n in range(len(x)):
-            out[n] += gain**k * _gradient_noise(c * x[n] + s * y[n] + 0.5, c * y[n] - s * x[n] + 0.5, seed + 7919 * k)
+            u, v = c * x[n] + s * y[n] + 0.5, c * y[n] - s * x[n] + 0.5
+            out[n] += gain**k * _gradient_noise(u, v, seed + 7919 * k)
         power += gain ** (2 * k)
         frequency *= 2.0
     out *= 1.0 / (_UNIT_STD * math.sqrt(power))

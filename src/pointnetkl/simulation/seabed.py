@@ -9,18 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
-from pointnetkl.errors import PointNetKLError
+from pointnetkl import settings
 from pointnetkl.simulation import noise
-
-
-class SeabedError(PointNetKLError):
-    """A seabed cannot be made as asked."""
 
 
 class Seabed(Protocol):
     """Depth at any point, and where a survey of it may be placed."""
 
-    crs: str  # of the coordinates that it is asked for
+    @property
+    def crs(self) -> str:
+        """The coordinates that it is asked in."""
+        ...
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return z (n,) metres, up, negative below the surface, at x, y (n,) metres."""
@@ -42,6 +41,16 @@ class Field:
     azimuth_deg: float = 0.0  # of the grain, counter-clockwise from east
     patch_m: float = 300.0
 
+    def __post_init__(self) -> None:
+        """Refuse a range of slopes that is none.
+
+        Raises:
+            ValueError: the slopes are not two positive numbers in rising order, or a length is not positive.
+        """
+        settings.require_positive(self, "length_m", "octaves", "stretch", "patch_m")
+        if len(self.slope) != 2 or not 0 < self.slope[0] <= self.slope[1]:
+            raise ValueError(f"slope is {self.slope}, must be [flattest, steepest], both above zero")
+
 
 @dataclass(frozen=True)
 class Relief:
@@ -52,6 +61,16 @@ class Relief:
     flat: float  # share of the ground that is basin or plateau
     stretch: float  # how much longer along the grain
     azimuth_deg: float  # of the grain, counter-clockwise from east
+
+    def __post_init__(self) -> None:
+        """Refuse a share that is none.
+
+        Raises:
+            ValueError: the flat share is not between 0 and 1, or a length is not positive.
+        """
+        settings.require_positive(self, "length_m", "stretch")
+        if not 0 < self.flat < 1:
+            raise ValueError(f"flat is {self.flat}, must be between 0 and 1")
 
 
 @dataclass(frozen=True)
@@ -130,11 +149,7 @@ class Random:
 
 
 def heights(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return z (n,) metres of a random terrain at x, y (n,) metres from its centre.
-
-    Raises:
-        SeabedError: a slope range is not two rising positive numbers.
-    """
+    """Return z (n,) metres of a random terrain at x, y (n,) metres from its centre."""
     z = _relief(terrain.relief, seed * 64 + 12, x, y) - terrain.depth_m
     # a seed for each feature, so that adding one leaves the others where they were
     parts = (terrain.hills, terrain.texture, terrain.ridges)
@@ -160,8 +175,6 @@ def _relief(relief: Relief, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 def _field(field: Field, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    if len(field.slope) != 2 or not 0 < field.slope[0] <= field.slope[1]:
-        raise SeabedError(f"slope is {field.slope}, must be [flattest, steepest], both above 0")
     flattest, steepest = field.slope
     u, v = noise.stretched(x, y, field.stretch, np.deg2rad(field.azimuth_deg))
     rank = noise.share(noise.field(x, y, seed + 1, field.patch_m, 2))

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pointnetkl import settings
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.simulation.seabed import Seabed
 
 _ITERATIONS = 10
 _HIT_M = 0.01  # a beam has hit when it ends this near to the seabed
+_LEAST_DESCENT = 0.02  # towards the ground, per metre of beam: below it a step goes as far as the beam may
 
 
 class SonarError(PointNetKLError):
@@ -28,6 +30,16 @@ class Settings:
     outliers: float  # share of soundings that are wrong
     outlier_m: float  # standard deviation of their ranges' errors
     flagged: float  # share of the wrong ones that the sonar rejects itself (quality 1)
+
+    def __post_init__(self) -> None:
+        """Refuse what no sonar can be.
+
+        Raises:
+            ValueError: a number is out of its range.
+        """
+        settings.require_positive(self, "sector_deg", "beams", "range_limit")
+        if self.sector_deg > 170:
+            raise ValueError(f"sector_deg is {self.sector_deg}, must be at most 170")
 
 
 @dataclass(frozen=True)
@@ -72,25 +84,21 @@ def levelled(angle: np.ndarray, roll: np.ndarray, pitch: np.ndarray) -> np.ndarr
 def cast(seabed: Seabed, origins: np.ndarray, directions: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return ranges (n,) metres from origins (n, 3) along directions (n, 3), x, y, z, to the seabed.
 
-    NaN where a beam meets no seabed within its limit (n,), or hides from it behind another slope.
+    NaN where a beam meets no seabed within its limit (n,) metres, or grazes it so that the search does not settle.
     """
-    # secant steps along the beam: fixed-point steps diverge where the ground falls away as steeply as the beam
+    ranges, active = np.full(len(origins), np.nan), np.arange(len(origins))
     gap_before = origins[:, 2] - seabed(origins[:, 0], origins[:, 1])
     before, reach = np.zeros(len(origins)), np.minimum(gap_before / -directions[:, 2], limit)
-    ranges, active = np.full(len(origins), np.nan), np.arange(len(origins))
     for _ in range(_ITERATIONS):
         end = origins[active] + reach[:, None] * directions[active]
         gap = end[:, 2] - seabed(end[:, 0], end[:, 1])
         hit = np.abs(gap) < _HIT_M
         ranges[active[hit]] = reach[hit]
-        steepness = (gap_before - gap) / (reach - before)  # descent onto the ground, per metre of beam
-        on = ~hit & (steepness > 0.02)
-        before, gap_before, active = reach[on], gap[on], active[on]
-        reach = np.clip(before + gap_before / steepness[on], 0.0, limit[active])
-        if len(active) == 0 or np.all(reach == before):
-            break
-        moved = reach != before
-        before, gap_before, active, reach = before[moved], gap_before[moved], active[moved], reach[moved]
+        # a secant step: fixed-point steps diverge where the ground falls away as steeply as the beam
+        descent = np.maximum((gap_before - gap) / (reach - before), _LEAST_DESCENT)
+        following = np.clip(reach + gap / descent, 0.0, limit[active])
+        on = ~hit & (following != reach)
+        gap_before, before, reach, active = gap[on], reach[on], following[on], active[on]
     return ranges
 
 
@@ -120,7 +128,8 @@ def ping(
     heard = np.isfinite(ranges) & (ranges > 0) & (rng.uniform(size=len(ranges)) >= sonar.dropouts)
     number, beam = np.divmod(np.flatnonzero(heard), len(angle))
     local = levelled(angle, *measured.T).reshape(-1, 3)[heard] * ranges[heard, None]
-    return Soundings(number, beam, *local.T, quality[heard])
+    along, across, down = local.T
+    return Soundings(number, beam, along, across, down, quality[heard])
 
 
 def _beams_in_map(local: np.ndarray, yaw: np.ndarray) -> np.ndarray:

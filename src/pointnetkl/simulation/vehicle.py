@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
+from pointnetkl import settings
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.simulation import sonar
 from pointnetkl.simulation.seabed import Seabed
@@ -48,6 +49,14 @@ class Settings:
     navigation: Navigation
     sonar: sonar.Settings
 
+    def __post_init__(self) -> None:
+        """Refuse a vehicle that does not move.
+
+        Raises:
+            ValueError: its speed is not positive.
+        """
+        settings.require_positive(self, "speed_mps")
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -59,6 +68,14 @@ class Layout:
     start_jitter_m: float  # each line starts early or late by up to this much
     repeat_m: float  # length of a last line over the middle one; 0 for none
     azimuth_deg: float  # of the first line, counter-clockwise from east
+
+    def __post_init__(self) -> None:
+        """Refuse a survey without a line.
+
+        Raises:
+            ValueError: there is no line, or a length is not positive.
+        """
+        settings.require_positive(self, "lines", "line_length_m", "line_spacing_m")
 
 
 @dataclass(frozen=True)
@@ -76,16 +93,7 @@ class Track:
 
 
 def lines(layout: Layout, rng: np.random.Generator) -> np.ndarray:
-    """Return the lines (k, 2, 2): start and end, each along and across the first line's course, metres.
-
-    Raises:
-        VehicleError: there is no line, or a length is not positive.
-    """
-    if layout.lines < 1 or layout.line_length_m <= 0 or layout.line_spacing_m <= 0:
-        raise VehicleError(
-            f"a survey of {layout.lines} lines of {layout.line_length_m} m, {layout.line_spacing_m} m apart,"
-            " cannot be sailed; all three must be positive"
-        )
+    """Return the lines (k, 2, 2): start and end, each along and across the first line's course, metres."""
     across = (np.arange(layout.lines) - (layout.lines - 1) / 2) * layout.line_spacing_m
     start = -layout.line_length_m / 2 + rng.uniform(-1, 1, layout.lines) * layout.start_jitter_m
     ends = np.stack([start, start + layout.line_length_m], axis=1)
