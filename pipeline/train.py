@@ -20,6 +20,7 @@ def main(arguments: argparse.Namespace) -> None:
 
     training.prepare(chosen.seed, chosen.threads)
     model = network.PointNetKL(kind)
+    training.start_at_mean(model, sets[0], chosen.label_floor_m2)
     outcome = training.train(model, *sets, chosen)
     training.finish(model, sets[0], chosen)
 

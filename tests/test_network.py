@@ -48,9 +48,9 @@ def test_every_answer_is_symmetric_and_positive_definite(m: int):
 @pytest.mark.parametrize("m", [2, 3])
 def test_l_and_d_are_the_cholesky_composition_of_the_paper(m: int):
     numbers = torch.arange(1.0, 1 + m * (m + 1) // 2, dtype=torch.float64)[None]
-    l, d = numbers[0, :-m].numpy(), numbers[0, -m:].numpy()
+    below, d = numbers[0, :-m].numpy(), numbers[0, -m:].numpy()
     lower = np.eye(m)
-    lower[np.tril_indices(m, -1)] = l
+    lower[np.tril_indices(m, -1)] = below
     np.testing.assert_allclose(network.covariance(numbers, m)[0], lower @ np.diag(np.exp(d)) @ lower.T)
 
 
@@ -59,9 +59,7 @@ def test_divergence_from_l_and_d_is_that_of_the_matrices(m: int):
     generator = torch.Generator().manual_seed(1)
     numbers = torch.randn(100, m * (m + 1) // 2, dtype=torch.float64, generator=generator)
     factors = torch.linalg.cholesky(network.covariance(numbers.flip(0), m))
-    expected = gaussian.kl_divergence(
-        (factors @ factors.mT).numpy(), network.covariance(numbers, m).numpy()
-    )
+    expected = gaussian.kl_divergence((factors @ factors.mT).numpy(), network.covariance(numbers, m).numpy())
     np.testing.assert_allclose(network.kl_divergence(factors, numbers), expected, atol=1e-9)
 
 
@@ -122,7 +120,7 @@ def test_the_network_has_the_layers_of_the_papers():
     hidden = [(1000, 1025), (1000, 1000), (1000, 1000), (1000, 1000), (3, 1000)]
     assert shapes == [*transform, *shared[0], *features, *shared[1], *hidden]
     kinds = [type(m).__name__ for m in model.psi]
-    assert kinds == ["Linear", "BatchNorm1d", "Dropout", "ReLU"] * 4 + ["Linear"]
+    assert kinds == ["Linear", "BatchNorm1d", "Dropout", "ReLU"] * 4
 
 
 def test_three_dimensions_give_three_by_three_covariances():
@@ -136,8 +134,8 @@ def test_a_model_in_training_mode_is_not_asked():
 
 
 def test_settings_that_make_no_network_are_refused():
-    with pytest.raises(ValueError, match="^dropout is 1"):
+    with pytest.raises(ValueError, match=r"^dropout is 1"):
         dataclasses.replace(SMALL, dropout=1.0)
-    with pytest.raises(ValueError, match="^dimensions is 4"):
+    with pytest.raises(ValueError, match=r"^dimensions is 4"):
         dataclasses.replace(SMALL, dimensions=4)
     assert settings.as_metadata(SMALL)["hidden_width"] == 32

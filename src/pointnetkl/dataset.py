@@ -78,9 +78,7 @@ def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Sampl
     return samples.take(np.flatnonzero(~held_back)), samples.take(np.flatnonzero(held_back))
 
 
-def draw(
-    samples: Samples, which: np.ndarray, points: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def draw(samples: Samples, which: np.ndarray, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return as many random points of each chosen cloud (b, points, 3), float32, and the radii (b,), float32.
 
     A point comes twice only where the cloud has fewer: nothing is padded, so no batch norm sees what is not there.

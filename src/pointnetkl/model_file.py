@@ -67,7 +67,7 @@ def to_onnx(model: network.PointNetKL) -> bytes:
         torch.onnx.export(
             wrapped,
             (torch.zeros(2, 8, 3), torch.ones(2)),
-            buffer,
+            buffer,  # type: ignore[arg-type]  # a buffer is taken where dynamo is false
             dynamo=False,
             input_names=["points", "radius"],
             output_names=["covariance"],

@@ -4,6 +4,7 @@ PointNet (Qi et al. 2017) without its heads describes the cloud by zeta; an MLP 
 of a Cholesky composition, Sigma = L(l) diag(exp d) L(l)^T (section IV of the paper).
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -51,8 +52,8 @@ class PointMLP(nn.Sequential):
 
     def __init__(self, widths: Sequence[int]) -> None:
         """Make the layers between the given numbers of channels."""
-        pairs = zip(widths, widths[1:], strict=False)
-        super().__init__(*(m for a, b in pairs for m in (nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(inplace=True))))
+        layers = ((nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(inplace=True)) for a, b in itertools.pairwise(widths))
+        super().__init__(*itertools.chain.from_iterable(layers))
 
 
 class TransformNet(nn.Module):
@@ -105,9 +106,10 @@ class PointNetKL(nn.Module):
         self.phi = PointNet()
         inputs = PointNet.features + int(chosen.scale_input)
         widths = [inputs] + [chosen.hidden_width] * chosen.hidden_layers
-        hidden = (_hidden(a, b, chosen.dropout) for a, b in zip(widths, widths[1:], strict=False))
+        hidden = (_hidden(a, b, chosen.dropout) for a, b in itertools.pairwise(widths))
         numbers = chosen.dimensions * (chosen.dimensions + 1) // 2
-        self.psi = nn.Sequential(*(layer for layers in hidden for layer in layers), nn.Linear(widths[-1], numbers))
+        self.psi = nn.Sequential(*itertools.chain.from_iterable(hidden))
+        self.last = nn.Linear(widths[-1], numbers)
 
     def forward(self, points: Tensor, radius: Tensor) -> Tensor:
         """Return [l, d], (B, M (M - 1) / 2 + M), of points (B, n, 3) and radii (B,) in metres."""
@@ -116,7 +118,7 @@ class PointNetKL(nn.Module):
             # the logarithm, because a covariance grows with a power of length; 100 m, the order of a swath, makes
             # it as small as the features that it joins
             zeta = torch.cat([zeta, torch.log(radius[:, None] / 100.0)], dim=1)
-        return self.psi(zeta)
+        return self.last(self.psi(zeta))
 
 
 class Covariance(nn.Module):

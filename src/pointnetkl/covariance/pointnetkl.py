@@ -9,6 +9,7 @@ import torch
 
 from pointnetkl import model_file, network, voxel
 from pointnetkl.submap import Submap
+from pointnetkl.voxel import Clouds
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class PointNetKL:
         cloud = voxel.canonical(submap.points, self.voxel, f"{submap.survey}, submap {submap.number}")
         return network.predict(self.model, cloud.points, cloud.radius)
 
-    def predict(self, clouds: voxel.Clouds) -> np.ndarray:
+    def predict(self, clouds: Clouds) -> np.ndarray:
         """Return Q (k, 2, 2) of clouds that are canonical already, in their order; each is judged alone."""
         each = (clouds.cloud(i) for i in range(len(clouds)))
         return np.stack([network.predict(self.model, cloud.points, cloud.radius) for cloud in each])

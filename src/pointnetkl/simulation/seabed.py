@@ -1,7 +1,7 @@
 """A seabed that is drawn, not surveyed: depth anywhere in the plane, from a seed and a few lengths and slopes.
 
-Terrain is patchy, because a seabed is: every field's steepness runs from its flattest to its steepest places on a
-logarithmic scale, so flat sediment, gentle ground and rock lie side by side in one survey.
+Terrain is patchy, because a seabed is: one ruggedness, from sediment basins to bare rock, sets how steep every field
+is at a place, on a logarithmic scale. Ground that is rough at the scale of metres is so at that of a submap too.
 """
 
 from dataclasses import dataclass
@@ -32,14 +32,13 @@ class Seabed(Protocol):
 
 @dataclass(frozen=True)
 class Field:
-    """A random field; its steepness wanders over `patch_m`."""
+    """A random field, as steep as the place is rugged."""
 
-    slope: list[float]  # rms slope across the grain in the flattest and in the steepest places, log-uniform between
+    slope: list[float]  # rms slope across the grain where the ground is least and most rugged
     length_m: float  # from a hill to the next hollow, coarsest octave
     octaves: int = 2  # each half as long as the one before, and as steep
     stretch: float = 1.0  # how much longer along the grain
     azimuth_deg: float = 0.0  # of the grain, counter-clockwise from east
-    patch_m: float = 300.0
 
     def __post_init__(self) -> None:
         """Refuse a range of slopes that is none.
@@ -47,7 +46,7 @@ class Field:
         Raises:
             ValueError: the slopes are not two positive numbers in rising order, or a length is not positive.
         """
-        settings.require_positive(self, "length_m", "octaves", "stretch", "patch_m")
+        settings.require_positive(self, "length_m", "octaves", "stretch")
         if len(self.slope) != 2 or not 0 < self.slope[0] <= self.slope[1]:
             raise ValueError(f"slope is {self.slope}, must be [flattest, steepest], both above zero")
 
@@ -120,6 +119,7 @@ class Settings:
     """One place's terrain; what is None does not occur there."""
 
     depth_m: float
+    patch_m: float  # from rugged ground to smooth
     relief: Relief
     hills: Field  # hundreds of metres
     texture: Field  # what registration holds on to: tens of metres and less
@@ -151,11 +151,12 @@ class Random:
 def heights(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return z (n,) metres of a random terrain at x, y (n,) metres from its centre."""
     z = _relief(terrain.relief, seed * 64 + 12, x, y) - terrain.depth_m
+    rugged = _ruggedness(terrain.patch_m, seed * 64 + 40, x, y)
     # a seed for each feature, so that adding one leaves the others where they were
     parts = (terrain.hills, terrain.texture, terrain.ridges)
     for number, part in enumerate(parts):
         if part is not None:
-            z += _field(part, seed * 64 + 4 * number, x, y)
+            z += _field(part, rugged, seed * 64 + 4 * number, x, y)
     if terrain.ripples is not None:
         z += _ripples(terrain.ripples, seed * 64 + 20, x, y)
     if terrain.outcrops is not None:
@@ -174,11 +175,15 @@ def _relief(relief: Relief, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarr
     return relief.height_m * (_smooth(0.5 + noise.field(u, v, seed, relief.length_m) / (2 * edge)) - 0.5)
 
 
-def _field(field: Field, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _ruggedness(patch_m: float, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    # smoothed twice: most ground is either sediment or rock, and little lies between
+    return _smooth(_smooth(noise.share(noise.field(x, y, seed, patch_m, 2))))
+
+
+def _field(field: Field, rugged: np.ndarray, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     flattest, steepest = field.slope
     u, v = noise.stretched(x, y, field.stretch, np.deg2rad(field.azimuth_deg))
-    rank = noise.share(noise.field(x, y, seed + 1, field.patch_m, 2))
-    steepness = flattest * (steepest / flattest) ** rank
+    steepness = flattest * (steepest / flattest) ** rugged
     unit = noise.field(u, v, seed, field.length_m, field.octaves)
     return np.asarray(steepness / noise.slope(field.length_m, field.octaves) * unit)
 
