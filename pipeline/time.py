@@ -45,9 +45,7 @@ def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Met
     return [
         sampled.Sampled("monte_carlo", chosen.runs, chosen.seed, label, registration),
         constant.Constant("constant", label.prior_variance_m2 * np.eye(2)),
-        *estimated.without_labels(
-            settings.read(arguments.params, "estimate", estimated.Settings), label, registration
-        ),
+        *estimated.without_labels(settings.read(arguments.params, "estimate", estimated.Settings), label, registration),
         *learned.methods(learned.read(arguments.fits), registration),
         pointnetkl.load(arguments.model),
     ]

@@ -20,9 +20,7 @@ def main(arguments: argparse.Namespace) -> None:
     )
     metadata = {"survey": arguments.name, "params": {"voxelise": settings.as_metadata(how)}}
     artifacts.write_arrays(arguments.clouds, clouds.to_arrays(), metadata)
-    print(
-        f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}"
-    )
+    print(f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}")
 
 
 if __name__ == "__main__":

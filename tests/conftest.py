@@ -45,8 +45,6 @@ def sail(
     yaw = pings["yaw_rad"].to_numpy()[ping]
     px, py = x[ping] - across * np.sin(yaw), y[ping] + across * np.cos(yaw)
     pz = seabed(px, py) + noise_m * np.random.default_rng(seed).standard_normal(len(px))
-    soundings = pd.DataFrame(
-        {"ping": ping.astype(np.int32), "beam": np.tile(np.arange(beams, dtype=np.int32), len(x))}
-    )
+    soundings = pd.DataFrame({"ping": ping.astype(np.int32), "beam": np.tile(np.arange(beams, dtype=np.int32), len(x))})
     soundings = soundings.assign(x_m=px, y_m=py, z_m=pz, quality=np.int8(0))
     return Survey(pings, soundings, "local", (0.0, 0.0))

@@ -78,9 +78,7 @@ def _survey(name: str) -> Fake:
         T = pose.matrix(np.array([x, y, -60.0]), rows[-1][5])
         grid = np.mgrid[-30:30:SPACING_M, -40:40:SPACING_M].reshape(2, -1).T + rng.uniform(0, 1, (300, 2))
         placed = pose.transform(T, np.column_stack([grid, np.zeros(len(grid))]))
-        clouds.append(
-            np.column_stack([grid, seabed(placed[:, 0], placed[:, 1]) + 60 + rng.normal(0, 0.1, len(grid))])
-        )
+        clouds.append(np.column_stack([grid, seabed(placed[:, 0], placed[:, 1]) + 60 + rng.normal(0, 0.1, len(grid))]))
     k = len(rows)
     turn = rng.uniform(0, np.pi, k)
     R = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], -1).reshape(k, 2, 2)
@@ -169,15 +167,11 @@ def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
             measures = {"rmse_xyz_m": error, "truth_rmse_xyz_m": 1.1 * error if truth else np.nan}
             measures["map_to_map_m"] = error / 5 if repetition < 2 and truth else np.nan
             rows.append({"survey": fake.name, "method": method, "repetition": repetition, **measures})
-        drift = np.column_stack(
-            [np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))]
-        )
+        drift = np.column_stack([np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))])
         trajectories.append(_trajectory(fake, method, gt[:, :3, 3] + drift))
     table_ = pd.DataFrame(rows).assign(**{name: np.nan for name in slam.ROWS.names if name.endswith("se2_m")})
     artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam.ROWS, {})
-    artifacts.write_table(
-        folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam.TRAJECTORIES, {}
-    )
+    artifacts.write_table(folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam.TRAJECTORIES, {})
 
 
 def _trajectory(fake: Fake, which: str, xyz: np.ndarray) -> pd.DataFrame:

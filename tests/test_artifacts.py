@@ -105,9 +105,9 @@ def test_half_a_file_is_refused(tmp_path: Path):
         for size in (0, 3, len(whole) // 2, len(whole) - 5):
             path.write_bytes(whole[:size])
             with pytest.raises(ArtifactError):
-                {table: artifacts.table_metadata, arrays: artifacts.read_arrays, content: artifacts.read_json}[
+                {table: artifacts.table_metadata, arrays: artifacts.read_arrays, content: artifacts.read_json}[path](
                     path
-                ](path)
+                )
 
 
 def outcome(reading: Callable[[], object]) -> str:

@@ -10,8 +10,7 @@ import yaml
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
 STAGES = {
-    name: stage.get("do", stage)
-    for name, stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items()
+    name: stage.get("do", stage) for name, stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items()
 }
 SCRIPTS = {name: ROOT / "pipeline" / f"{name}.py" for name in STAGES if name != "gather"}
 
@@ -125,9 +124,7 @@ def reads(stage: str, out: str) -> bool:
 
 def rerun_by(section: str) -> set[str]:
     """Return the stages that run again when a section of the parameters changes."""
-    return downstream(
-        {n for n, s in STAGES.items() if any(p.split(".")[0] == section for p in s.get("params", []))}
-    )
+    return downstream({n for n, s in STAGES.items() if any(p.split(".")[0] == section for p in s.get("params", []))})
 
 
 def test_changing_slam_reruns_slam_and_report_only():
@@ -151,8 +148,7 @@ def test_a_new_test_survey_reaches_only_its_own_stages_and_the_report():
     gathering = {
         name
         for name in STAGES
-        if name not in per_survey | {"gather"}
-        and any(reads(name, out) for stage in per_survey for out in outs(stage))
+        if name not in per_survey | {"gather"} and any(reads(name, out) for stage in per_survey for out in outs(stage))
     }
     assert gathering == {"report"}
 

@@ -10,9 +10,7 @@ import terrains
 from pointnetkl import gicp
 from pointnetkl.gicp import registration
 
-SETTINGS = gicp.Settings(
-    neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
-)
+SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
 FINE = dataclasses.replace(SETTINGS, tolerance_m=1e-6, max_iterations=200)
 EVERY_KIND = [*terrains.AMPLITUDES_M, "ridge"]
 
@@ -105,9 +103,7 @@ def test_registration_turns_with_the_clouds() -> None:
     order = np.linalg.norm(turned.points[:, None] - straight.points @ turn.T, axis=2).argmin(axis=1)
     moves, noise = draws(straight, 20)
     one = gicp.register_noisy(straight, straight, moves, noise, FINE).translation
-    other = gicp.register_noisy(
-        turned, turned, moves @ turn[:2, :2].T, (noise @ turn.T)[:, order], FINE
-    ).translation
+    other = gicp.register_noisy(turned, turned, moves @ turn[:2, :2].T, (noise @ turn.T)[:, order], FINE).translation
     assert np.mean(np.linalg.norm(one @ turn[:2, :2].T - other, axis=1) < 1e-3) >= 0.95
 
 

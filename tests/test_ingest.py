@@ -42,19 +42,14 @@ def folder(tmp_path: Path) -> Path:
 def trajectory(**columns: object) -> pd.DataFrame:
     """Return a true trajectory at the times of the raw pings."""
     time = 1.5e9 + 5.0 * np.arange(20)
-    table = pd.DataFrame(
-        {"time_s": time, "x_m": 5e5 + time - time[0], "y_m": 6e6 + 1.0, "z_m": -20.0, "yaw_rad": 0.5}
-    )
+    table = pd.DataFrame({"time_s": time, "x_m": 5e5 + time - time[0], "y_m": 6e6 + 1.0, "z_m": -20.0, "yaw_rad": 0.5})
     return table.assign(**columns)
 
 
 def test_three_tables_and_a_summary_come_out(folder: Path):
     result = ingest(folder)
     assert result.returncode == 0, result.stderr
-    assert (
-        "mine: 20 pings, 100 soundings, 100 valid, track 0.190 km, depth 50.0 to 54.0 m, EPSG:32633"
-        in result.stdout
-    )
+    assert "mine: 20 pings, 100 soundings, 100 valid, track 0.190 km, depth 50.0 to 54.0 m, EPSG:32633" in result.stdout
     assert "skipped: nothing" in result.stdout
     pings = artifacts.read_table(folder / "out/pings.parquet", PINGS)
     soundings = artifacts.read_table(folder / "out/soundings.parquet", SOUNDINGS)

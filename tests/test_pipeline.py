@@ -76,7 +76,8 @@ def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(s
     study.edit(
         "params.yaml",
         "  test: &test\n",
-        "  test: &test\n    mine: {raw: data/raw/mine, truth: data/none, submap_length_m: 60, point_spacing_m: 3.2, label_runs: 20}\n",
+        "  test: &test\n"
+        "    mine: {raw: data/raw/mine, truth: data/none, submap_length_m: 100, point_spacing_m: 3.2, label_runs: 20}\n",
     )
     ran = study.run("dvc", "repro").stdout
     own = ("ingest", "segment", "voxelise", "label", "estimate", "predict", "graph", "slam")

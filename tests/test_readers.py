@@ -291,7 +291,5 @@ def outcome_of(path: Path, content: bytes) -> str:
         return str(error)
     assert np.isfinite(survey.soundings.to_numpy(float)).all()
     assert np.isfinite(survey.pings[["time_s", "x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(float)).all()
-    assert (
-        len(survey.pings) + sum(n for why, n in survey.report["skipped"].items() if "pings" in why.split()[:2]) >= 1
-    )
+    assert len(survey.pings) + sum(n for why, n in survey.report["skipped"].items() if "pings" in why.split()[:2]) >= 1
     return ""

@@ -115,9 +115,7 @@ def test_numbers_are_those_of_the_metrics_module(folders: results.Folders, numbe
     expected = metrics.kl_summary(labels.q, test.covariances["constant"], 0.01, np.random.default_rng(0))
     assert numbers["kl"]["borno_8"]["constant"]["mean"] == pytest.approx(expected["mean"], rel=1e-3)
     rows = test.slam[test.slam["method"] == "constant"]
-    assert numbers["slam"]["borno_8"]["constant"]["rmse_xyz_m"] == pytest.approx(
-        rows["rmse_xyz_m"].mean(), rel=1e-3
-    )
+    assert numbers["slam"]["borno_8"]["constant"]["rmse_xyz_m"] == pytest.approx(rows["rmse_xyz_m"].mean(), rel=1e-3)
 
 
 def test_the_label_itself_is_not_listed_as_close_to_the_label(numbers: dict[str, dict]):

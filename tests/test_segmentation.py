@@ -92,9 +92,7 @@ def test_the_halves_come_from_alternate_pings(small: Survey, found: Segmentation
     xyz, ping = small.soundings[["x_m", "y_m", "z_m"]].to_numpy(), small.soundings["ping"].to_numpy()
     tree = spacing.cKDTree(xyz)
     for one in found.submaps:
-        first, second = (
-            ping[tree.query(map_points(found, one.number, half))[1]] for half in (one.first, one.second)
-        )
+        first, second = (ping[tree.query(map_points(found, one.number, half))[1]] for half in (one.first, one.second))
         assert len(set(first % 2)) == len(set(second % 2)) == 1
         assert first[0] % 2 != second[0] % 2
 
@@ -169,9 +167,7 @@ def test_a_submap_of_too_few_points_is_dropped_and_the_numbers_stay_consecutive(
 
 
 def test_a_survey_too_short_says_how_long_it_is_and_what_to_change():
-    with pytest.raises(
-        SegmentationError, match=r"small: its longest line .* 50 m.* 100 m; lower study.surveys.small"
-    ):
+    with pytest.raises(SegmentationError, match=r"small: its longest line .* 50 m.* 100 m; lower study.surveys.small"):
         cut(sail(line_m=50.0))
 
 
@@ -206,9 +202,7 @@ def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("small: 6 submaps of ")
     submaps = from_table("small", artifacts.read_table(tmp_path / "submaps.parquet", POINTS))
-    assert [one.number for one in submaps] == artifacts.read_table(tmp_path / "poses.parquet", POSES)[
-        "submap"
-    ].tolist()
+    assert [one.number for one in submaps] == artifacts.read_table(tmp_path / "poses.parquet", POSES)["submap"].tolist()
     assert artifacts.table_metadata(tmp_path / "poses.parquet")["params"]["point_spacing_m"] == 4.0
     unknown = segment_stage(tmp_path, "smal")
     assert unknown.returncode == 1

@@ -32,9 +32,7 @@ class Outer:
 
 GOOD = {"name": "a", "on": True, "steps": [1, 2], "inner": {"x": {"seed": 1, "rate": 2}}}
 
-few = hypothesis_settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+few = hypothesis_settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def read(folder: Path, content: object, section: str = "s", kind: type = Outer) -> object:
@@ -138,9 +136,7 @@ def test_a_file_that_is_no_parameter_file_is_one_sentence(tmp_path: Path):
         ),
     ],
 )
-def test_a_value_that_a_stage_cannot_use_is_refused_by_name(
-    tmp_path: Path, kind: type, content: object, message: str
-):
+def test_a_value_that_a_stage_cannot_use_is_refused_by_name(tmp_path: Path, kind: type, content: object, message: str):
     assert complaint(tmp_path, content, kind=kind).startswith(message)
 
 

@@ -64,9 +64,7 @@ def test_without_noise_the_estimate_is_gt_as_far_as_the_closures_allow():
 
 def test_navigation_has_one_row_and_is_its_distance_from_gt():
     rows, _ = benchmark()
-    assert errors(rows, "navigation") == pytest.approx(
-        [metrics.rmse(GRAPH.navigation[:, :3, 3], GRAPH.gt[:, :3, 3])]
-    )
+    assert errors(rows, "navigation") == pytest.approx([metrics.rmse(GRAPH.navigation[:, :3, 3], GRAPH.gt[:, :3, 3])])
 
 
 def test_map_to_map_is_measured_in_the_first_repetitions_only():

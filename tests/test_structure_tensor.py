@@ -56,9 +56,7 @@ def test_it_is_small_across_a_ridge_and_large_along_it():
 def test_it_rotates_with_the_submap():
     submap = seabed(lambda x, y: ridge(x, y) + 0.5 * np.cos(y / 5))
     rotated, R = turned(submap, 0.7)
-    np.testing.assert_allclose(
-        METHOD.covariance(rotated), R @ METHOD.covariance(submap) @ R.T, rtol=1e-2, atol=1e-4
-    )
+    np.testing.assert_allclose(METHOD.covariance(rotated), R @ METHOD.covariance(submap) @ R.T, rtol=1e-2, atol=1e-4)
 
 
 def test_flat_ground_gets_the_prior():

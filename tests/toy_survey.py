@@ -40,9 +40,7 @@ def _submap(number: int, T_map_submap: np.ndarray, rng: np.random.Generator) -> 
     return Submap("toy", number, points, points[::2], points[1::2])
 
 
-def graph(
-    lines: int = 3, along: int = 4, known: bool = True, apart: float = 10.0
-) -> tuple[list[Submap], SurveyGraph]:
+def graph(lines: int = 3, along: int = 4, known: bool = True, apart: float = 10.0) -> tuple[list[Submap], SurveyGraph]:
     """Return submaps and their graph, by navigation that drifts a little; without truth if it is not known."""
     submaps, truth = sail(lines, along, apart)
     navigation = truth.copy()

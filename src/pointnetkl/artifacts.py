@@ -155,9 +155,7 @@ def _object(path: Path, text: bytes) -> dict[str, Any]:
     except ValueError as error:
         raise ArtifactError(f"{path}: is damaged ({_line(error)}); delete it and run dvc repro") from error
     if not isinstance(content, dict):
-        raise ArtifactError(
-            f"{path}: holds a {type(content).__name__}, not a JSON object; delete it and run dvc repro"
-        )
+        raise ArtifactError(f"{path}: holds a {type(content).__name__}, not a JSON object; delete it and run dvc repro")
     return content
 
 

@@ -10,9 +10,7 @@ from pointnetkl.errors import PointNetKLError
 
 def parser(description: str) -> argparse.ArgumentParser:
     """Return a parser with the option that every stage has: which parameter file to read."""
-    arguments = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    arguments = argparse.ArgumentParser(description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     arguments.add_argument("--params", type=Path, default=Path("params.yaml"), help="parameter file")
     return arguments
 

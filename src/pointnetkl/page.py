@@ -54,9 +54,7 @@ def render(title: str, lead: Sequence[str], sections: Sequence[Section], images:
 
 
 def _section(anchor: str, section: Section, images: Mapping[str, bytes]) -> str:
-    figures = "\n".join(
-        _figure(images[name], caption) for name, caption in section.figures.items() if name in images
-    )
+    figures = "\n".join(_figure(images[name], caption) for name, caption in section.figures.items() if name in images)
     parts = (
         f'<h2 id="{anchor}">{html.escape(section.title)}</h2>',
         _paragraphs(section.paragraphs),

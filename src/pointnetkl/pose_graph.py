@@ -83,9 +83,7 @@ def chain(first: np.ndarray, relative: np.ndarray) -> np.ndarray:
 def closure_covariances(q: np.ndarray, noise: ClosureNoise) -> np.ndarray:
     """Return the edges' covariances (e, 6, 6), rotation first, with q (e, 2, 2) in m^2 for x and y."""
     full = np.zeros((len(q), 6, 6))
-    full[:, range(6), range(6)] = (
-        np.array([noise.roll_rad, noise.pitch_rad, noise.yaw_rad, 0.0, 0.0, noise.z_m]) ** 2
-    )
+    full[:, range(6), range(6)] = np.array([noise.roll_rad, noise.pitch_rad, noise.yaw_rad, 0.0, 0.0, noise.z_m]) ** 2
     full[:, 3:5, 3:5] = q
     return full
 
@@ -101,9 +99,7 @@ class PoseGraph:
         held = gtsam.noiseModel.Isotropic.Sigma(6, _FIRST_POSE_SIGMA)
         self._fixed = gtsam.NonlinearFactorGraph()
         self._fixed.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(first), held))
-        for k, i, T, covariance in zip(
-            closures.target, closures.source, closures.measured, covariances, strict=True
-        ):
+        for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
             model = gtsam.noiseModel.Gaussian.Covariance(covariance)
             self._fixed.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
 

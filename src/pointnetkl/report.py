@@ -92,8 +92,7 @@ def _numbers(
     tests = found.tests.items()
     return {
         "datasets": datasets,
-        "kl": {**found.training}
-        | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
+        "kl": {**found.training} | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
         "calibration": {name: summary.calibrations(found.labels[name], test) for name, test in tests},
         "slam": {name: summary.slam(name, test, settings) for name, test in tests},
     }

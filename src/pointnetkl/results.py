@@ -18,9 +18,7 @@ from pointnetkl.errors import PointNetKLError
 from pointnetkl.study import Study
 
 _COVARIANCE = [(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")]
-LABELS = pa.schema(
-    [("submap", pa.int32()), *_COVARIANCE, ("spacing_m", pa.float64()), ("self_matching", pa.bool_())]
-)
+LABELS = pa.schema([("submap", pa.int32()), *_COVARIANCE, ("spacing_m", pa.float64()), ("self_matching", pa.bool_())])
 ERRORS = ("rmse_xyz_m", "truth_rmse_xyz_m", "map_to_map_m")
 SLAM = pa.schema([("method", pa.string()), ("repetition", pa.int32()), *((name, pa.float64()) for name in ERRORS)])
 TRAJECTORIES = pa.schema(
@@ -185,9 +183,7 @@ def read_loss(folders: Folders) -> pd.DataFrame:
     try:
         return pd.read_csv(path)[["step", "training", "validation"]]
     except (KeyError, ValueError) as error:
-        raise ResultsError(
-            f"{path}: must have the columns step, training, validation; run dvc repro train"
-        ) from error
+        raise ResultsError(f"{path}: must have the columns step, training, validation; run dvc repro train") from error
 
 
 def _same_submaps(path: Path, found: np.ndarray, labels: Labels, what: str) -> None:

@@ -115,9 +115,7 @@ def _is_required(field: "dataclasses.Field[Any]") -> bool:
 
 
 def _wrong_type(value: Any, kind: Any, where: str) -> str:
-    wanted = {float: "a finite number", int: "a whole number", str: "text", bool: "true or false"}.get(
-        kind, str(kind)
-    )
+    wanted = {float: "a finite number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))
     # YAML takes 1e-4 for text, and so does `-S`: the point is what makes it a number
     hint = "; write it with a point, as 1.0e-4" if kind is float and isinstance(value, str) else ""
     return f"{where} is {value!r}, must be {wanted}{hint}"

@@ -96,9 +96,7 @@ def by_method(covariances: pd.DataFrame) -> dict[str, dict[int, np.ndarray]]:
     twice = covariances.duplicated(["method", "submap"])
     if twice.any():
         row = covariances[twice].iloc[0]
-        raise SlamError(
-            f"{row['method']} has two covariances for submap {row['submap']}; rename one of the methods"
-        )
+        raise SlamError(f"{row['method']} has two covariances for submap {row['submap']}; rename one of the methods")
     found: dict[str, dict[int, np.ndarray]] = {}
     rows = covariances[["method", "submap"]].itertuples(index=False)
     for (method, number), q in zip(rows, table.to_matrices(covariances), strict=True):

@@ -51,9 +51,7 @@ def comparison(numbers: Mapping[str, Any]) -> list[str]:
     lines = []
     for survey, slam in numbers["slam"].items():
         simulated = " (simulated)" if numbers["datasets"][survey]["simulated"] else ""
-        kl = _each(
-            numbers["kl"][survey], ("pointnetkl", "structure_tensor", "constant_train", "naive_gicp"), "mean"
-        )
+        kl = _each(numbers["kl"][survey], ("pointnetkl", "structure_tensor", "constant_train", "naive_gicp"), "mean")
         methods = ("corrupted", "monte_carlo", "pointnetkl", "constant", "naive_gicp")
         lines.append(f"{survey}{simulated}: mean KL, nats: {kl}")
         lines.append(f"{survey}{simulated}: SLAM error against GT, m: {_each(slam, methods, 'rmse_xyz_m')}")
@@ -101,8 +99,7 @@ def _labels(shown: Blocks) -> Section:
             " flatters: an independent pass over the same ground has other points. Where points lie farther"
             " apart than the starts spread (self_matching, a share of the survey's submaps), the copy finds"
             " itself.",
-            "The authors' network's values are its predictions on its own surveys, not labels: a loose guide,"
-            " no goal.",
+            "The authors' network's values are its predictions on its own surveys, not labels: a loose guide, no goal.",
         ),
     )
 

@@ -24,9 +24,7 @@ def table_1(datasets: Numbers) -> list[Block]:
             rows,
             ["survey", "simulated", "vehicle", *sizes],
         ),
-        block(
-            "Points per registration cloud, and registrations per label.", rows, ["survey", "simulated", *density]
-        ),
+        block("Points per registration cloud, and registrations per label.", rows, ["survey", "simulated", *density]),
     ]
 
 
@@ -86,9 +84,7 @@ def table_4(slam: Numbers, datasets: Numbers) -> list[Block]:
 
 def slam_errors(slam: Numbers, datasets: Numbers) -> Block:
     """Return every method's SLAM errors in metres, and the paper's."""
-    rows = [
-        {**row, **_interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in _by_method(slam, datasets)
-    ]
+    rows = [{**row, **_interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in _by_method(slam, datasets)]
     columns = [
         "survey",
         "simulated",

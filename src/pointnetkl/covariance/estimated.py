@@ -43,8 +43,5 @@ def without_labels(settings: Settings, label: monte_carlo.Settings, registration
     """Return those of the methods that no label is needed for."""
     return [
         naive_gicp.NaiveGicp(registration),
-        *(
-            sampled.Sampled(f"mc_{runs}", runs, settings.seed, label, registration)
-            for runs in settings.sampled_runs
-        ),
+        *(sampled.Sampled(f"mc_{runs}", runs, settings.seed, label, registration) for runs in settings.sampled_runs),
     ]

@@ -62,9 +62,7 @@ def align(sources, target, grid, limits):  # type: ignore[no-untyped-def]
         while iterations[b] < limits.iterations and not converged[b]:
             if not limits.keep:
                 state.deadlines[:] = -1
-            matched[b] += _rematch(
-                source, target, grid, limits, state, np.float32(x), np.float32(y), np.float32(path)
-            )
+            matched[b] += _rematch(source, target, grid, limits, state, np.float32(x), np.float32(y), np.float32(path))
             if matched[b] == 0:
                 x, y, state.sums[:] = 0.0, 0.0, 0.0
                 break

@@ -98,9 +98,7 @@ def prepare(points: np.ndarray, settings: Settings) -> Cloud:
     return Cloud(points, normals.of_cloud(local, lists), nearest, centre, local, lists, grid)
 
 
-def register(
-    source: Cloud, target: Cloud, settings: Settings, start: tuple[float, float] = (0.0, 0.0)
-) -> Registration:
+def register(source: Cloud, target: Cloud, settings: Settings, start: tuple[float, float] = (0.0, 0.0)) -> Registration:
     """Return the translation in x and y, near `start` (metres), that lays the source on the target.
 
     Both clouds are in the same axes. Without any match within settings.max_distance_m the answer is the start

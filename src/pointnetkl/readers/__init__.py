@@ -72,9 +72,7 @@ def read_truth(path: Path, survey: Survey) -> pd.DataFrame:
     truth = artifacts.read_table(path, TRAJECTORY).sort_values("time_s", kind="stable", ignore_index=True)
     crs = (pq.read_schema(path).metadata or {}).get(b"crs", survey.crs.encode()).decode("utf-8", "replace")
     if crs != survey.crs:
-        raise ReaderError(
-            f"{path}: is in {crs} and the survey in {survey.crs}; bring both to one coordinate system"
-        )
+        raise ReaderError(f"{path}: is in {crs} and the survey in {survey.crs}; bring both to one coordinate system")
     if lost := int(np.sum(~np.isfinite(truth.to_numpy()).all(axis=1))):
         raise ReaderError(f"{path}: {lost} of its {len(truth)} rows are not finite; take them out")
     begin, end = survey.pings["time_s"].iloc[[0, -1]]

@@ -161,9 +161,7 @@ def _check_degrees(path: Path, columns: Columns) -> None:
     # single positions out of range are counted and skipped; most of them so is a mistake in the columns
     for name, limit in (("longitude_deg", 180.0), ("latitude_deg", 90.0)):
         if abs(middle := _middle(columns[name])) > limit:
-            raise GenericError(
-                f"{path}: {name} is {middle:.6g} in the middle, must lie within -{limit:g} to {limit:g}"
-            )
+            raise GenericError(f"{path}: {name} is {middle:.6g} in the middle, must lie within -{limit:g} to {limit:g}")
 
 
 def _middle(column: np.ndarray) -> float:

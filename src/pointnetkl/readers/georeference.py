@@ -130,9 +130,7 @@ def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
     time, east, north = (pings[name].to_numpy() for name in ("time_s", "east", "north"))
     if crs == projection.GEOGRAPHIC:
         east, north = projection.roughly(east, north)
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad([time, east, north], ((0, 0), (2, 2)), "reflect"), 5, 1
-    )
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad([time, east, north], ((0, 0), (2, 2)), "reflect"), 5, 1)
     off = np.hypot(east - np.median(windows[1], 1), north - np.median(windows[2], 1))
     return np.asarray(off > _JITTER_M + _FASTEST_M_S * np.ptp(windows[0], 1))
 
@@ -140,9 +138,7 @@ def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
 def _ping_table(pings: pd.DataFrame, frame: projection.Frame, origin: tuple[float, float]) -> pd.DataFrame:
     heading = pings["heading_rad"].to_numpy()
     east, north = frame.turned(slice(None), np.sin(heading), np.cos(heading))
-    table = pings.assign(
-        ping=np.arange(len(pings), dtype=np.int32), x_m=frame.x - origin[0], y_m=frame.y - origin[1]
-    )
+    table = pings.assign(ping=np.arange(len(pings), dtype=np.int32), x_m=frame.x - origin[0], y_m=frame.y - origin[1])
     table = table.assign(z_m=-table["depth_m"], yaw_rad=pose.heading_to_yaw(np.arctan2(east, north)))
     return table[PINGS.names].reset_index(drop=True)
 
@@ -168,9 +164,7 @@ def _soundings(
     return pd.DataFrame({name: read[name] for name in SOUNDINGS.names})
 
 
-def _all_soundings(
-    recordings: Sequence[Recording], kept: np.ndarray, skipped: Counter[str]
-) -> dict[str, np.ndarray]:
+def _all_soundings(recordings: Sequence[Recording], kept: np.ndarray, skipped: Counter[str]) -> dict[str, np.ndarray]:
     """Return the columns of the kept pings' soundings, in order of ping and beam; none stands twice."""
     number = np.full(sum(len(r.pings) for r in recordings), -1, np.int32)
     number[kept] = np.arange(len(kept))

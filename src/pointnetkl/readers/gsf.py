@@ -45,9 +45,7 @@ def read(path: Path) -> Recording:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         major = gsf_records.version(data)
         if major is None:
-            raise GsfError(
-                f"{path}: byte 8 must say GSF-v01 to GSF-v03, it has {data[8:20]!r}; is this a GSF file?"
-            )
+            raise GsfError(f"{path}: byte 8 must say GSF-v01 to GSF-v03, it has {data[8:20]!r}; is this a GSF file?")
         records = list(gsf_records.checked(data, major, damage))
     pings = [record for record in records if record.kind == PING]
     if not pings:

@@ -31,9 +31,7 @@ class Frame:
     y: np.ndarray  # (n,) northing, metres
     tangent: np.ndarray  # (n, 2, 2) map metres per metre on the ground, columns east and north
 
-    def turned(
-        self, ping: np.ndarray | slice, east: np.ndarray, north: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def turned(self, ping: np.ndarray | slice, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return offsets on the ground, metres to true east and north of the pings, as offsets on the map."""
         t = self.tangent[ping]
         return t[:, 0, 0] * east + t[:, 0, 1] * north, t[:, 1, 0] * east + t[:, 1, 1] * north

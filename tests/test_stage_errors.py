@@ -1,0 +1,83 @@
+"""A stage that cannot do its work says why in one sentence, exits with 1, and leaves what was there as it was."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pointnetkl import artifacts, survey
+
+ROOT = Path(__file__).parents[1]
+
+
+def stage(name: str, *arguments: str | Path) -> str:
+    """Run a stage that must fail; return the sentence that it ends with."""
+    command = [sys.executable, str(ROOT / "pipeline" / f"{name}.py"), *map(str, arguments)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "Traceback" not in result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.fixture
+def parameters(tmp_path: Path) -> Path:
+    """A copy of params.yaml to spoil."""
+    return Path(shutil.copy(ROOT / "params.yaml", tmp_path / "params.yaml"))
+
+
+@pytest.fixture
+def short_survey(tmp_path: Path) -> Path:
+    """Twenty metres of track over flat ground."""
+    pings = pd.DataFrame({name: np.zeros(20) for name in survey.PINGS.names}).assign(
+        ping=range(20), time_s=np.arange(20.0), x_m=np.arange(20.0), file="line"
+    )
+    soundings = pd.DataFrame({"ping": np.repeat(range(20), 9), "beam": np.tile(range(9), 20)}).assign(
+        x_m=lambda t: t["ping"].astype(float), y_m=lambda t: 3.0 * t["beam"], z_m=-30.0, quality=0
+    )
+    for name, table, schema in (("pings", pings, survey.PINGS), ("soundings", soundings, survey.SOUNDINGS)):
+        artifacts.write_table(tmp_path / f"survey/{name}.parquet", table, schema, {})
+    return tmp_path / "survey"
+
+
+def test_a_missing_raw_file(tmp_path: Path):
+    said = stage("ingest", "x", "--raw", tmp_path / "gone.gsf", "--truth", "data/none", "--out", tmp_path / "out")
+    assert f"{tmp_path / 'gone.gsf'}: is missing" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_survey_that_the_study_does_not_have(short_survey: Path, tmp_path: Path):
+    outs = ("--submaps", tmp_path / "s.parquet", "--poses", tmp_path / "p.parquet")
+    said = stage("segment", "atlantis", "--survey", short_survey, *outs)
+    assert "atlantis" in said
+    assert "baltic" in said
+
+
+def test_a_parameter_of_the_wrong_type(short_survey: Path, parameters: Path, tmp_path: Path):
+    parameters.write_text(parameters.read_text().replace("max_gap_m: 30.0", "max_gap_m: 3e1"))
+    outs = ("--submaps", tmp_path / "s.parquet", "--poses", tmp_path / "p.parquet")
+    said = stage("segment", "baltic", "--survey", short_survey, *outs, "--params", parameters)
+    assert "segment.max_gap_m is '3e1', must be a finite number" in said
+    assert "with a point" in said
+
+
+def test_a_corrupt_table_leaves_the_old_result(short_survey: Path, tmp_path: Path):
+    whole = (short_survey / "pings.parquet").read_bytes()
+    (short_survey / "pings.parquet").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "s.parquet").write_text("computed before")
+    outs = ("--submaps", tmp_path / "s.parquet", "--poses", tmp_path / "p.parquet")
+    said = stage("segment", "baltic", "--survey", short_survey, *outs)
+    assert "pings.parquet: cannot be read" in said
+    assert (tmp_path / "s.parquet").read_text() == "computed before"
+
+
+def test_a_survey_too_short_for_one_submap(short_survey: Path, tmp_path: Path):
+    outs = ("--submaps", tmp_path / "s.parquet", "--poses", tmp_path / "p.parquet")
+    said = stage("segment", "baltic", "--survey", short_survey, *outs)
+    assert "baltic" in said
+    assert "submap_length_m" in said
