@@ -1,7 +1,7 @@
 """Surveys that nobody had to sail: a seabed, a vehicle and its sonar make raw pings, and the truth is known."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -36,13 +36,14 @@ class Settings:
     seed: int
     vehicle: str  # of section `vehicles`
     grid: str  # a GeoTIFF of depths, or data/none for a seabed drawn from the seed
-    crs: str  # of a drawn seabed; a grid brings its own
-    centre_m: list[float]  # easting, northing of a drawn survey's centre
-    grid_roughness_m: float
     altitude_m: float
     ping_spacing_m: float
     beam_spacing_m: float
     layout: Layout
+    grid_roughness_m: float = 0.0
+    # of a drawn seabed; a grid brings its own
+    crs: str = ""
+    centre_m: list[float] = field(default_factory=list)  # easting, northing
     terrain: seabed.Settings | None = None
 
     def __post_init__(self) -> None:
@@ -75,8 +76,8 @@ def ground(settings: Settings) -> seabed.Seabed:
         raise SimulationError(f"{path}: there is no such grid; write data/none for a random seabed")
     if not artifacts.is_none(path):
         return grid.read(path, settings.grid_roughness_m, settings.seed)
-    if settings.terrain is None or len(settings.centre_m) != 2:
-        raise SimulationError("a survey without a grid needs `terrain` and `centre_m: [easting, northing]`")
+    if settings.terrain is None or not settings.crs or len(settings.centre_m) != 2:
+        raise SimulationError("a survey without a grid needs `crs`, `centre_m: [easting, northing]` and `terrain`")
     east, north = settings.centre_m
     return seabed.Random(settings.terrain, settings.seed, settings.crs, (east, north))
 
