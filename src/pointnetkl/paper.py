@@ -1,4 +1,4 @@
-"""The numbers that the paper prints, to stand beside ours: Torroba, Sprague, Folkesson, RA-L 2020, Tables I to IV.
+"""The numbers that the paper prints (Torroba, Sprague, Bore and Folkesson, RA-L 2020, Tables I to IV), beside ours.
 
 Keys are the names of surveys and methods in `params.yaml` and in the covariance tables.
 """
