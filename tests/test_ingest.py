@@ -35,7 +35,7 @@ def ingest(folder: Path, *changes: str) -> subprocess.CompletedProcess[str]:
 def folder(tmp_path: Path) -> Path:
     """A folder with raw pings and an unknown truth."""
     parquet(tmp_path / "raw.parquet", rows(pings=20, heading=1.0))
-    (tmp_path / "truth.parquet").touch()
+    (tmp_path / "truth.parquet").write_text("none")
     return tmp_path
 
 

@@ -150,3 +150,12 @@ def test_the_study_of_the_project_holds_every_survey_once():
 
 def test_metadata_holds_what_was_read():
     assert settings.as_metadata(Inner(1, 2.0)) == dataclasses.asdict(Inner(1, 2.0))
+
+
+def test_a_study_that_tests_on_what_it_trained_on_is_refused(tmp_path: Path):
+    line = "{raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    path = tmp_path / "params.yaml"
+    for train, test in (("x", "x"), ("x", "y")):  # the same name; other names for the same raw files
+        path.write_text(f"study:\n  train: {{{train}: {line}}}\n  test: {{{test}: {line}}}\n  surveys: {{}}\n")
+        with pytest.raises(settings.SettingsError, match="train"):
+            study.read(path)

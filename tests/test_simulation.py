@@ -110,9 +110,9 @@ def test_a_random_field_has_the_variance_and_the_slope_that_it_says(octaves: int
 
 
 def test_terrain_is_patchy():
-    field = seabed.Field(slope=[0.001, 0.1], length_m=20.0, patch_m=500.0)
+    field = seabed.Field(slope=[0.001, 0.1], length_m=20.0)
     none = seabed.Field(slope=[1e-9, 1e-9], length_m=20.0)
-    terrain = seabed.Settings(50.0, seabed.Relief(0.0, 500.0, 0.5, 1.0, 0.0), none, field)
+    terrain = seabed.Settings(50.0, 500.0, seabed.Relief(0.0, 500.0, 0.5, 1.0, 0.0), none, field)
     corner = np.random.default_rng(1).uniform(-2e4, 2e4, (2, 200, 1))
     x, y = corner + np.random.default_rng(2).uniform(0, 60, (2, 200, 100))
     rough = seabed.heights(terrain, 1, x.ravel(), y.ravel()).reshape(200, 100).std(axis=1)

@@ -34,7 +34,7 @@ class Workspace:
             else:
                 shutil.copy(source, target)
         (folder / "data").mkdir(exist_ok=True)
-        (folder / "data/none").touch()
+        shutil.copy(ROOT / "data/none", folder / "data/none")
         self.run("git", "init", "-q")
         self.commit("begin")
 

@@ -6,15 +6,15 @@ PYTHON=${PYTHON:-python3}
 
 missing=()
 # read once: a pipe into grep -q would fail now and then, as grep leaves before ldconfig ends
-libraries=$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || find /lib /usr/lib /usr/local/lib -name '*.so*')
+libraries=$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || find /lib /usr/lib /usr/local/lib -name '*.so*' 2>/dev/null || true)
 has_library() { grep -qF "$1" <<<"$libraries"; }
 if [ "$(uname -s)" = Linux ]; then
   command -v git >/dev/null || missing+=(git)
   command -v make >/dev/null || missing+=(make)
   if ! command -v "$PYTHON" >/dev/null; then
-    missing+=(python3 python3-venv)
+    missing+=("$PYTHON" "$PYTHON-venv")
   elif ! "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null; then
-    missing+=(python3-venv)
+    missing+=("$(basename "$PYTHON")-venv")
   fi
   # OpenMP for numba and torch; the others are what open3d links to, screen or not
   for pair in libgomp.so.1:libgomp1 libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1 \

@@ -41,9 +41,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def is_none(path: Path) -> bool:
-    """Whether a file stands for an input that there is not, as data/none does: it is empty or begins with `none`."""
+    """Whether a file stands for an input that there is not, as data/none does: it begins with `none`."""
     with path.open("rb") as file:
-        return file.read(4) in (b"", b"none")
+        return file.read(4) == b"none"
 
 
 def write_table(

@@ -108,8 +108,10 @@ def _training() -> Section:
     return Section(
         "Training",
         (
-            "KL divergence to the labels as the network learns. Validation submaps are blocks along the track,"
-            " so that no overlapping neighbour is trained on. The ring marks the weights that were kept.",
+            "KL divergence to the labels as the network learns. Validation submaps are blocks along the track:"
+            " few of them have an overlapping neighbour that is trained on, though adjacent lines still share some"
+            " ground. The ring marks the weights that were kept. The network learns each label plus the floor"
+            " (train.label_floor_m2), so its Q holds the floor wherever it is used, in SLAM too.",
         ),
         figures={"training": "KL divergence (nats) by optimiser step (the paper's Fig. 4)."},
     )

@@ -39,6 +39,18 @@ class Study:
     surveys: dict[str, StudySurvey]
     scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
 
+    def __post_init__(self) -> None:
+        """Refuse a study that would test on what it trained on.
+
+        Raises:
+            ValueError: a survey, or its raw files, are in both groups.
+        """
+        if both := sorted(set(self.train) & set(self.test)):
+            raise ValueError(f"test has {both[0]}, which train has too; name it in one of them")
+        trained = {line.raw for line in self.train.values()}
+        if both := sorted(name for name, line in self.test.items() if line.raw in trained):
+            raise ValueError(f"test.{both[0]} has the raw files of a training survey; test on others")
+
 
 def read(path: Path) -> Study:
     """Return the whole study of a parameter file.

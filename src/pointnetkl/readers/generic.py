@@ -46,7 +46,8 @@ def read(path: Path) -> Recording:
     Raises:
         GenericError: the file is damaged, lacks a column, or a column is not numeric or not in its unit.
     """
-    parquet = path.open("rb").read(4) == b"PAR1"
+    # by the name as well: a Parquet file with a damaged head is no table of text
+    parquet = path.suffix.lower() == ".parquet" or path.open("rb").read(4) == b"PAR1"
     columns, crs = _read_parquet(path) if parquet else _read_csv(path)
     skipped: dict[str, int] = {}
     columns = _timed(columns, skipped)
