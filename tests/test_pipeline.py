@@ -28,7 +28,9 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
 def hashes(workspace: Workspace) -> dict[str, str]:
     """Return the hash of every artifact in dvc.lock, but of what holds timings."""
     lock = yaml.safe_load((workspace.folder / "dvc.lock").read_text())
-    timed = ("reports/runtime.json", "reports/tables/table_3", "reports/index.html")
+    timed = tuple(
+        f"reports/{name}" for name in ("runtime.json", "tables/table_3", "figures/accuracy_time.png", "index.html")
+    )
     return {
         out["path"]: out["md5"]
         for stage in lock["stages"].values()

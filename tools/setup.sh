@@ -24,7 +24,7 @@ if [ "$(uname -s)" = Linux ]; then
 fi
 
 echo "pointnetkl: setting up in $PWD/.venv"
-echo "  disk: about 3 GB for packages (more where PyTorch brings CUDA), 1 GB for the demo's data"
+echo "  disk: about 3 GB for packages (more where PyTorch brings CUDA), 0.5 GB for the demo's data"
 echo "  disk free here: $(df -h . | awk 'NR==2 {print $4}')"
 echo "  system packages missing: ${missing[*]:-none}"
 
