@@ -1,5 +1,6 @@
-"""GICP (Segal 2009) constrained to x and y: prepare clouds, register one onto another, or many noisy copies."""
+"""GICP (Segal 2009) constrained to x and y, or x, y and yaw: prepare clouds, register one or many noisy copies."""
 
+from pointnetkl.gicp.noise import Noise
 from pointnetkl.gicp.registration import (
     Cloud,
     GicpError,
@@ -14,6 +15,7 @@ from pointnetkl.gicp.registration import (
 __all__ = [
     "Cloud",
     "GicpError",
+    "Noise",
     "Registration",
     "Registrations",
     "Settings",

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 # Cells per point at most: enough for the empty corners of a diagonal track, and a bound on memory.
 _CELLS_PER_POINT = 16
+_RIM = 2  # empty cells on each side, because a copy reaches beyond the cloud
 
 
 class Grid(NamedTuple):
@@ -35,9 +36,10 @@ def build_grid(points: np.ndarray, spacing: float) -> tuple[Grid, np.ndarray]:
     width, height = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
     most = _CELLS_PER_POINT * len(points)
     cell = np.float32(max(spacing, np.sqrt(width * height / most), max(width, height) / most, 1e-6))
+    x0, y0 = x0 - _RIM * cell, y0 - _RIM * cell
     column, row = ((points[:, axis] - low) * (np.float32(1) / cell) for axis, low in ((0, x0), (1, y0)))
     column, row = column.astype(np.int64), row.astype(np.int64)
-    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    columns, rows = int(column.max()) + 1 + _RIM, int(row.max()) + 1 + _RIM
     bucket = column * rows + row
     starts = np.concatenate([[0], np.cumsum(np.bincount(bucket, minlength=columns * rows))]).astype(np.int32)
     return Grid(starts, x0, y0, cell, columns, rows), np.argsort(bucket, kind="stable")

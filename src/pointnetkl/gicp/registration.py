@@ -1,22 +1,29 @@
 """Preparing clouds and registering them: what the rest of the package sees of GICP."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from pointnetkl import settings
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.gicp import kernel, neighbours, normals
+from pointnetkl.gicp import kernel, matching, neighbours, normals
+from pointnetkl.gicp.noise import Noise
 
 _LARGEST_M = 1e5  # float32 places a point within 4 mm up to here
 
 
 class GicpError(PointNetKLError):
-    """A cloud cannot be registered, or a setting of the registration makes no sense."""
+    """A cloud cannot be registered."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Section `registration` of the parameters."""
+    """Section `registration` of the parameters.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
 
     neighbours: int  # points whose scatter gives a normal
     plane_epsilon: float  # variance along the normal, against 1 in the plane
@@ -25,23 +32,12 @@ class Settings:
     max_iterations: int
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            GicpError: a setting is out of its range.
-        """
-        if self.neighbours < 3 or self.max_iterations < 1:
-            raise GicpError(
-                f"registration.neighbours is {self.neighbours} and max_iterations {self.max_iterations};"
-                " they must be at least 3 and 1"
-            )
-        if not 0 < self.plane_epsilon <= 1:
-            raise GicpError(f"registration.plane_epsilon is {self.plane_epsilon}, must be in (0, 1]")
-        if not (self.max_distance_m > 0 and self.tolerance_m > 0):
-            raise GicpError(
-                f"registration.max_distance_m is {self.max_distance_m} and tolerance_m {self.tolerance_m};"
-                " both must be positive"
-            )
+        """Refuse what makes no sense."""
+        settings.require_positive(self, "plane_epsilon", "max_distance_m", "tolerance_m", "max_iterations")
+        if self.neighbours < 3:
+            raise ValueError(f"neighbours is {self.neighbours}, must be at least 3: fewer points have no plane")
+        if self.plane_epsilon > 1:
+            raise ValueError(f"plane_epsilon is {self.plane_epsilon:g}, must be at most 1, the variance in the plane")
 
 
 @dataclass(frozen=True)
@@ -51,17 +47,32 @@ class Cloud:
     points: np.ndarray  # (n, 3) float64, metres
     normals: np.ndarray  # (n, 3) float32, unit, upwards (nz >= 0)
     spacing_m: float  # median distance to the nearest other point
-    centre: np.ndarray  # (3,) float64, metres: what was subtracted before going to float32
-    local: np.ndarray  # (n, 3) float32, points - centre
-    lists: np.ndarray  # (n, k) int32, each point's neighbours, itself first
+    centre: np.ndarray  # (3,) float64, metres: the mean, subtracted before going to float32
+    neighbourhoods: np.ndarray  # (blocks, 9, 16) float32, see normals.neighbourhoods
+    lists: np.ndarray  # (n, k) uint32, each point's neighbours, itself first
     grid: neighbours.Grid
+
+    def as_source(self, target: "Cloud", move: np.ndarray) -> kernel.Source:
+        """Return the cloud, moved by (3,) metres, as the kernel takes it, in the axes of the target's centre."""
+        points = np.ascontiguousarray((self.points - target.centre + move).T, np.float32)
+        shift = (self.centre - target.centre + move).astype(np.float32)
+        around = self.neighbourhoods.copy()
+        around[:, :3] += shift[:, None]
+        return kernel.Source(points, self.normals.reshape(-1), around.reshape(-1), self.lists)
+
+    @cached_property
+    def as_target(self) -> matching.Target:
+        """Return the cloud as the kernel takes it to match to, with its table of candidates."""
+        local = (self.points - self.centre).astype(np.float32)
+        return matching.target(local, self.normals, self.grid)
 
 
 @dataclass(frozen=True)
 class Registration:
     """Outcome of aligning one cloud with another."""
 
-    translation: np.ndarray  # (2,) metres: source + translation lies on the target
+    translation: np.ndarray  # (2,) metres: the source, turned about the target's centre and translated, lies on it
+    yaw: float  # radians
     information: np.ndarray  # (2, 2) 1/m^2, the sum of M_xy over the matches at the solution; zero without any
     converged: bool
     iterations: int
@@ -73,6 +84,7 @@ class Registrations:
     """Outcomes of aligning b noisy copies of one cloud with another."""
 
     translation: np.ndarray  # (b, 2) metres
+    yaw: np.ndarray  # (b,) radians, about the target's centre
     converged: np.ndarray  # (b,) bool
     iterations: np.ndarray  # (b,) int32
 
@@ -84,67 +96,79 @@ def prepare(points: np.ndarray, settings: Settings) -> Cloud:
         GicpError: fewer than 3 points, a coordinate that is not finite, or an extent beyond 100 km.
     """
     points = _checked(np.asarray(points, np.float64))
-    centre = 0.5 * (points.min(0) + points.max(0))
+    centre = points.mean(axis=0)
     count = min(settings.neighbours, len(points))
     distances, lists = neighbours.nearest(points, count)
     # a disk through the last neighbour holds `count` points: cells of one point each search fastest
     spacing = float(np.median(distances[:, -1])) * np.sqrt(np.pi / count)
     grid, order = neighbours.build_grid((points - centre).astype(np.float32), spacing)
-    rank = np.empty(len(order), np.int32)
-    rank[order] = np.arange(len(order), dtype=np.int32)
+    rank = np.empty(len(order), np.uint32)
+    rank[order] = np.arange(len(order), dtype=np.uint32)
     lists, points = rank[lists[order]], points[order]
-    local = (points - centre).astype(np.float32)
-    nearest = float(np.median(distances[:, 1]))
-    return Cloud(points, normals.of_cloud(local, lists), nearest, centre, local, lists, grid)
+    around = normals.neighbourhoods(points - centre, lists)
+    upwards = normals.of_neighbourhoods(around, len(points))
+    return Cloud(points, upwards, float(np.median(distances[:, 1])), centre, around, lists, grid)
 
 
-def register(source: Cloud, target: Cloud, settings: Settings, start: tuple[float, float] = (0.0, 0.0)) -> Registration:
-    """Return the translation in x and y, near `start` (metres), that lays the source on the target.
+def register(
+    source: Cloud,
+    target: Cloud,
+    settings: Settings,
+    start: tuple[float, float] = (0.0, 0.0),
+    yaw: bool = False,
+) -> Registration:
+    """Return the motion in x and y, and in yaw if asked, near `start` (metres), that lays the source on the target.
 
     Both clouds are in the same axes. Without any match within settings.max_distance_m the answer is the start
     itself, not converged, with zero information.
     """
-    offset = np.array([start[0], start[1], 0.0])
-    moved = (source.points - target.centre + offset).astype(np.float32)[None]
-    translation, information, iterations, converged, matched = _align(moved, source.normals[None], target, settings)
-    xx, xy, yy = information[0]
+    moved = source.as_source(target, np.array([*start, 0.0]))
+    (x, y, turn), sums, iterations, converged, matched = kernel.register(
+        moved, target.as_target, _limits(settings, yaw)
+    )
     return Registration(
-        translation=translation[0] + offset[:2],
-        information=np.array([[xx, xy], [xy, yy]]),
-        converged=bool(converged[0]),
-        iterations=int(iterations[0]),
-        matched_share=float(matched[0] / len(source.points)),
+        translation=np.array([x + start[0], y + start[1]]),
+        yaw=turn,
+        information=np.array([[sums[0], sums[1]], [sums[1], sums[2]]]),
+        converged=converged,
+        iterations=iterations,
+        matched_share=matched / len(source.points),
     )
 
 
 def register_noisy(
-    source: Cloud, target: Cloud, translations: np.ndarray, noise: np.ndarray, settings: Settings
+    source: Cloud,
+    target: Cloud,
+    translations: np.ndarray,
+    noise: Noise,
+    settings: Settings,
+    yaw: bool = False,
 ) -> Registrations:
-    """Register copies of the source, each moved by a translation (b, 2) and noise (b, n, 3), onto the target.
+    """Register copies of the source, each moved by a translation (b, 2) in metres and noise, onto the target.
 
-    Both in metres, noise in the order of source.points. A copy's normals come from its own noisy points and the
-    clean source's neighbour lists. The translation found lays the moved, noisy copy on the target.
+    Copy i has the noise of run `noise.first` + i, in the order of source.points. A copy's normals come from its own
+    noisy points and the clean source's neighbour lists. The motion found lays the moved, noisy copy on the target.
     """
-    base = (source.points - target.centre).astype(np.float32)
-    moved = base + np.asarray(noise, np.float32)
-    moved[..., :2] += np.asarray(translations, np.float32)[:, None]
-    found = _align(moved, normals.of_copies(moved, source.lists), target, settings)
-    return Registrations(translation=found[0], converged=found[3], iterations=found[2])
+    found = kernel.register_noisy(
+        source.as_source(target, np.zeros(3)),
+        target.as_target,
+        np.ascontiguousarray(translations, np.float64),
+        noise.draws(),
+        _limits(settings, yaw),
+    )
+    motions, iterations, converged = found
+    return Registrations(motions[:, :2], motions[:, 2], converged, iterations)
 
 
-def _align(
-    moved: np.ndarray, moved_normals: np.ndarray, target: Cloud, settings: Settings, keep: bool = True
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    limits = kernel.Limits(
+def _limits(settings: Settings, yaw: bool, keep: bool = True) -> kernel.Limits:
+    return kernel.Limits(
         np.float32(settings.plane_epsilon),
         np.float32(settings.max_distance_m),
         settings.tolerance_m,
         settings.max_iterations,
+        yaw,
         keep,
     )
-    sources = kernel.Surface(moved.reshape(len(moved), -1), moved_normals.reshape(len(moved), -1))
-    onto = kernel.Surface(target.local.reshape(-1), target.normals.reshape(-1))
-    return kernel.align(sources, onto, target.grid, limits)
 
 
 def _checked(points: np.ndarray) -> np.ndarray:
