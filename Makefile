@@ -1,10 +1,11 @@
-# `make repro` runs the pipeline, `make test` the tests; each sets up .venv first when it is missing.
+# `make repro` runs the pipeline, `make test` the tests, `make bench` the benchmarks; each sets up .venv first when it
+# is missing.
 PYTHON ?= python3
 export DVC_NO_ANALYTICS := 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup repro test lint clean
+.PHONY: help setup repro test bench lint clean
 
 help:  ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -19,6 +20,9 @@ repro: .venv/complete  ## run what is out of date, from raw surveys to reports/i
 
 test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among them
 	@$(BIN)/python -m pytest
+
+bench: .venv/complete  ## registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
+	@$(BIN)/python benchmarks/gicp.py --open3d --json
 
 lint: .venv/complete  ## ruff, and mypy --strict on src
 	@$(BIN)/ruff check .

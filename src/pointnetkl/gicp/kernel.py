@@ -27,14 +27,15 @@ class Source(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The settings of a registration; `keep` false searches every match anew at every iteration."""
+    """The settings of a registration; the last two are there to be compared with, and are true."""
 
     epsilon: np.float32
     farthest: np.float32  # metres, of a match
     tolerance: float  # metres
     iterations: int
     yaw: bool
-    keep: bool
+    recompute: bool  # a copy's normals, from its noisy points; else it has those of the clean cloud
+    keep: bool  # matches while they cannot change; else every one is searched anew at every iteration
 
 
 class _State(NamedTuple):
@@ -69,11 +70,13 @@ def register_noisy(source, target, moves, draws, limits):  # type: ignore[no-unt
     count, n = len(moves), source.points.shape[1]
     motions, iterations, converged = np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.bool_)
     state, shaken = _state(n), np.empty((3, n), np.float32)
+    state.normals[: 3 * n] = source.normals[: 3 * n]
     rows, sums = np.empty(16 * n, np.float32), np.empty_like(source.neighbourhoods)
     first, low, high, sigma = draws
     for b in range(count):
         noise.fill(shaken[0], shaken[1], shaken[2], first + b, low, high, sigma)
-        normals.of_copy(source.points, shaken, source.neighbourhoods, source.lists, rows, sums, state.normals)
+        if limits.recompute:
+            normals.of_copy(source.points, shaken, source.neighbourhoods, source.lists, rows, sums, state.normals)
         for axis in range(3):
             _move(source.points[axis], shaken[axis], _f32(moves[b, axis]) if axis < 2 else _f32(0), state.points[axis])
         motion, _, iterations[b], converged[b], _ = _align(state, target, limits)

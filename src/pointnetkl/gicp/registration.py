@@ -143,30 +143,32 @@ def register_noisy(
     noise: Noise,
     settings: Settings,
     yaw: bool = False,
+    recompute_normals: bool = True,
 ) -> Registrations:
     """Register copies of the source, each moved by a translation (b, 2) in metres and noise, onto the target.
 
     Copy i has the noise of run `noise.first` + i, in the order of source.points. A copy's normals come from its own
-    noisy points and the clean source's neighbour lists. The motion found lays the moved, noisy copy on the target.
+    noisy points and the clean source's neighbour lists, or are the clean source's. The motion found lays the moved, noisy copy on the target.
     """
     found = kernel.register_noisy(
         source.as_source(target, np.zeros(3)),
         target.as_target,
         np.ascontiguousarray(translations, np.float64),
         noise.draws(),
-        _limits(settings, yaw),
+        _limits(settings, yaw, recompute_normals),
     )
     motions, iterations, converged = found
     return Registrations(motions[:, :2], motions[:, 2], converged, iterations)
 
 
-def _limits(settings: Settings, yaw: bool, keep: bool = True) -> kernel.Limits:
+def _limits(settings: Settings, yaw: bool, recompute: bool = True, keep: bool = True) -> kernel.Limits:
     return kernel.Limits(
         np.float32(settings.plane_epsilon),
         np.float32(settings.max_distance_m),
         settings.tolerance_m,
         settings.max_iterations,
         yaw,
+        recompute,
         keep,
     )
 
