@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, command, compute, gicp, label_summary, monte_carlo, settings, study, submap
+from pointnetkl import artifacts, command, gicp, label_summary, monte_carlo, settings, shards, study
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -14,12 +14,10 @@ def main(arguments: argparse.Namespace) -> None:
     chosen = settings.read(arguments.params, "label", monte_carlo.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
     runs = study.survey(arguments.params, arguments.survey).label_runs
-    submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
-
-    def label(one: submap.Submap) -> monte_carlo.Label:
-        return monte_carlo.label(one, runs, chosen, registration)
-
-    labels = compute.over(label, submaps, f"label {arguments.survey}")
+    submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # a worker may stand elsewhere
+    job = shards.Job(arguments.survey, submaps, folder, runs, chosen, registration, shards.kernel_version())
+    labels, made = shards.labels(job)
+    print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
     rows = pd.DataFrame([one.row for one in labels], columns=monte_carlo.LABELS.names)
     parameters = {
         "survey": arguments.survey,
@@ -29,18 +27,27 @@ def main(arguments: argparse.Namespace) -> None:
     }
     samples = {
         "submap": rows["submap"].to_numpy(np.int32),
-        "errors": np.stack([one.errors for one in labels]).astype(np.float32),
-        "held_out": np.stack([one.held_out for one in labels]).astype(np.float32),
+        "errors": padded([one.errors for one in labels]),
+        "held_out": np.stack([one.held_out for one in labels]),
     }
     artifacts.write_table(arguments.labels, rows, monte_carlo.LABELS, parameters)
     artifacts.write_arrays(arguments.errors, samples, parameters)
     print(*label_summary.lines(arguments.survey, rows, chosen.prior_variance_m2**0.5), sep="\n")
 
 
+def padded(errors: list[np.ndarray]) -> np.ndarray:
+    """Return errors (L, M) of n submaps as one array (n, longest L, M), NaN where a submap stopped earlier."""
+    together = np.full((len(errors), max(map(len, errors)), errors[0].shape[1]), np.nan, np.float32)
+    for i, each in enumerate(errors):
+        together[i, : len(each)] = each
+    return together
+
+
 if __name__ == "__main__":
     parser = command.parser(__doc__)
     parser.add_argument("survey")
     parser.add_argument("--submaps", type=Path, required=True)
+    parser.add_argument("--shards", type=Path, required=True, help="folder that keeps labels as they are made")
     parser.add_argument("--labels", type=Path, required=True)
     parser.add_argument("--errors", type=Path, required=True)
     command.run(main, parser)

@@ -12,7 +12,7 @@ def main(arguments: argparse.Namespace) -> None:
     submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = voxel.Clouds.of(
         [one.number for one in submaps],
-        compute.over(
+        compute.in_threads(
             lambda one: voxel.canonical(one.points, how.voxel, f"{one.survey}, submap {one.number}"),
             submaps,
             "voxelise",

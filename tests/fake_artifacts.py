@@ -7,13 +7,14 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from pointnetkl import artifacts, monte_carlo, pose, slam, submap, survey, voxel
+from pointnetkl import artifacts, monte_carlo, pose, sensitivity, slam, submap, survey, voxel
 from pointnetkl.covariance import table
 
 LENGTH_M, SPACING_M, LINES, ALONG = 60.0, 4.0, 3, 6
 TRAIN, TEST = ("baltic", "borno_1"), ("borno_8", "mine")
 METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", "pointnetkl")
 REPETITIONS, HELD_OUT = 4, 40
+_WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ def write(root: Path) -> None:
         _write_survey(root / "data", fake)
         _write_labels(root / "data", fake)
         if name in TEST:
+            _write_variations(root / "data", fake)
             _write_test(root, fake)
     _write_training(root)
     (root / "params.yaml").write_text(yaml.safe_dump(_parameters()))
@@ -120,13 +122,37 @@ def _write_survey(data: Path, fake: Fake) -> None:
 def _write_labels(data: Path, fake: Fake) -> None:
     rng, k = _rng(fake.name), len(fake.q)
     rows = pd.DataFrame(dict.fromkeys(monte_carlo.LABELS.names, 0.0), index=range(k)).assign(
-        submap=range(k), runs=50, spacing_m=2.3, self_matching=False, **_columns(fake.q)
+        submap=range(k), runs=50, spacing_m=2.3, self_matching=False, **_columns(fake.q), **_WENT
     )
     label = {"copy": "same", "noise_sigma_m": 0.2, "prior_variance_m2": 9.0}
     artifacts.write_table(data / f"labels/{fake.name}.parquet", rows, monte_carlo.LABELS, {"label": label})
     draws = np.einsum("kij,klj->kli", np.linalg.cholesky(fake.q), rng.normal(size=(k, HELD_OUT, 2)))
     samples = {"submap": np.arange(k, dtype=np.int32), "errors": draws, "held_out": draws}
     artifacts.write_arrays(data / f"labels/{fake.name}_errors.npz", samples, {})
+
+
+def _write_variations(data: Path, fake: Fake) -> None:
+    """Write labels of two submaps: Gaussian errors for the runs, and both copies by two spacings and three noises."""
+    rng, rows = _rng(fake.name), []
+    for number in (0, 7):
+        errors = rng.multivariate_normal([0, 0], fake.q[number], 300)
+        parts = [(runs, errors[i * runs : (i + 1) * runs]) for runs in (13, 30, 300) for i in range(300 // runs)]
+        rows += [_variation(fake, number, "runs", "same", 0.2, 4.0, monte_carlo.covariance(e), r) for r, e in parts]
+        rows += [
+            _variation(fake, number, "conditions", copy, sigma, cell, (0.1 + sigma) * cell * fake.q[number], 20)
+            for copy in ("same", "split")
+            for sigma, cell in ((0.0, 4.0), (0.1, 4.0), (0.2, 4.0), (0.2, 8.0))
+        ]
+    path = data / f"variations/{fake.name}.parquet"
+    artifacts.write_table(path, pd.DataFrame(rows).assign(**_WENT), sensitivity.VARIATIONS, {})
+
+
+def _variation(
+    fake: Fake, number: int, study: str, copy: str, sigma: float, cell: float, q: np.ndarray, runs: int
+) -> dict[str, object]:
+    what = {"survey": fake.name, "submap": number, "study": study, "copy": copy, "noise_sigma_m": sigma}
+    size = {"cell_m": cell, "spacing_m": 0.6 * cell, "points": 300, "repeat": 0, "runs": runs, "mean_y_m": 0.0}
+    return {**what, **size, **{name: float(value[0]) for name, value in _columns(q[None]).items()}}
 
 
 def _columns(q: np.ndarray) -> dict[str, np.ndarray]:

@@ -45,6 +45,15 @@ def test_only_the_rows_asked_for_are_read(tmp_path: Path):
     assert artifacts.read_table(table, SCHEMA, only=[("submap", ">", 0)])["name"].tolist() == ["b", "c"]
 
 
+def test_a_table_read_piece_by_piece_is_the_whole_table(tmp_path: Path):
+    long = pd.DataFrame({"submap": range(150_000), "name": "a", "x_m": 0.5})
+    artifacts.write_table(tmp_path / "t.parquet", long, SCHEMA, {})
+    pieces = list(artifacts.read_groups(tmp_path / "t.parquet", SCHEMA))
+    assert len(pieces) > 1
+    whole = artifacts.read_table(tmp_path / "t.parquet", SCHEMA)
+    pd.testing.assert_frame_equal(pd.concat(pieces, ignore_index=True), whole)
+
+
 def test_the_same_content_gives_the_same_bytes(tmp_path: Path):
     for one, other in zip(write(tmp_path / "one"), write(tmp_path / "other"), strict=True):
         assert one.read_bytes() == other.read_bytes()
@@ -123,6 +132,7 @@ def test_a_flipped_bit_in_the_data_is_found_or_harmless(tmp_path: Path):
     data = table.stat().st_size - pq.read_metadata(table).serialized_size - 8
     for path, size, reading in (
         (table, data, lambda: artifacts.read_table(table, SCHEMA)),
+        (table, data, lambda: list(artifacts.read_groups(table, SCHEMA))),
         (arrays, arrays.stat().st_size, lambda: artifacts.read_arrays(arrays)),
     ):
         whole, expected = path.read_bytes(), outcome(reading)
@@ -130,6 +140,7 @@ def test_a_flipped_bit_in_the_data_is_found_or_harmless(tmp_path: Path):
             path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
             found = outcome(reading)
             assert found == expected or (found.startswith("refused: ") and "\n" not in found)
+        path.write_bytes(whole)
 
 
 def test_the_columns_of_another_stage_are_refused(tmp_path: Path):
@@ -143,6 +154,8 @@ def test_the_columns_of_another_stage_are_refused(tmp_path: Path):
         pq.write_table(pa.table(columns), path)
         with pytest.raises(ArtifactError, match=message):
             artifacts.read_table(path, SCHEMA)
+        with pytest.raises(ArtifactError, match=message):
+            list(artifacts.read_groups(path, SCHEMA))
 
 
 def test_arrays_that_would_run_code_are_refused(tmp_path: Path):

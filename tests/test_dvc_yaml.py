@@ -144,7 +144,7 @@ def test_changing_the_report_reruns_the_report_only():
 
 
 def test_a_new_test_survey_reaches_only_its_own_stages_and_the_report():
-    per_survey = {"simulate", "ingest", "segment", "voxelise", "label", "estimate", "predict", "graph", "slam"}
+    per_survey = {"simulate", "ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph", "slam"}
     gathering = {
         name
         for name in STAGES

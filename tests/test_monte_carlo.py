@@ -1,6 +1,8 @@
 """Monte Carlo labels: what a covariance of registration must say of flat, ridged and rugged ground."""
 
 import dataclasses
+import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -62,13 +64,11 @@ def test_a_copy_flatters_and_another_pass_does_not() -> None:
 def test_labels_do_not_depend_on_the_number_of_workers_or_the_order(monkeypatch: pytest.MonkeyPatch) -> None:
     submaps = [submap("mild", 300, number) for number in range(4)]
 
-    def label(one: Submap) -> monte_carlo.Label:
-        return monte_carlo.label(one, 20, SETTINGS, REGISTRATION)
-
+    label = functools.partial(monte_carlo.label, runs=20, settings=SETTINGS, registration=REGISTRATION)
     results = []
     for workers, some in ((1, submaps), (3, submaps), (2, submaps[::-1])):
         monkeypatch.setenv("POINTNETKL_WORKERS", str(workers))
-        results.append({r.row["submap"]: r for r in compute.over(label, some, "label")})
+        results.append({r.row["submap"]: r for r in compute.in_threads(label, some, "label")})
     for other in results[1:]:
         for number, first in results[0].items():
             assert first.row == other[number].row
@@ -76,11 +76,13 @@ def test_labels_do_not_depend_on_the_number_of_workers_or_the_order(monkeypatch:
     assert not np.array_equal(results[0][0].errors, results[0][1].errors)
 
 
-def test_the_first_runs_are_the_same_however_many_are_held_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_runs_are_the_same_however_many_follow_or_are_made_at_once() -> None:
     of = submap("mild", 300)
-    together = errors(of, 30)
-    monkeypatch.setattr(monte_carlo, "_NOISE_BYTES", 1)
-    assert np.array_equal(together, errors(of, 30))
+    many = errors(of, 230)
+    assert np.array_equal(many[:30], errors(of, 30))
+    # a target looks at the errors every 100 runs
+    looked_at = monte_carlo.label(of, 230, dataclasses.replace(SETTINGS, target_relative_error=1e-9), REGISTRATION)
+    assert np.array_equal(many, looked_at.errors)
 
 
 def test_held_out_errors_share_no_draw_with_the_label() -> None:
@@ -96,21 +98,6 @@ def test_the_mean_error_is_part_of_the_covariance() -> None:
 def test_a_covariance_of_one_error_is_refused() -> None:
     with pytest.raises(monte_carlo.MonteCarloError, match="at least 2"):
         monte_carlo.covariance(np.ones((1, 2)))
-
-
-def test_standard_errors_are_those_of_repeated_labels() -> None:
-    q = np.array([[2.0, 0.5], [0.5, 1.0]])
-    samples = np.random.default_rng(0).multivariate_normal([0, 0], q, (400, 300))
-    entries = np.stack([monte_carlo.covariance(s)[[0, 0, 1], [0, 1, 1]] for s in samples])
-    claimed = np.mean([monte_carlo.standard_errors(s) for s in samples], axis=0)
-    assert np.allclose(entries.std(axis=0), claimed, rtol=0.1)
-
-
-@pytest.mark.parametrize(("outside", "apart"), [(0, 0.0), (100, 4.0), (400, 4.0)])
-def test_the_main_basin_is_the_fuller_one(outside: int, apart: float) -> None:
-    sample = 0.1 * np.random.default_rng(1).standard_normal((1000, 2)) @ [[1, 0.5], [0, 0.3]]
-    sample[:outside] += apart
-    assert monte_carlo.main_basin_share(sample) == pytest.approx(1 - outside / 1000, abs=0.03)
 
 
 def test_a_spacing_wider_than_the_prior_is_marked_as_self_matching_and_warned_of() -> None:
@@ -130,7 +117,101 @@ def test_a_label_without_any_error_is_refused(monkeypatch: pytest.MonkeyPatch) -
         monte_carlo.label(submap("rugged", 300), 5, SETTINGS, REGISTRATION)
 
 
-@pytest.mark.parametrize("change", [{"copy": "twin"}, {"prior_variance_m2": 0.0}, {"noise_sigma_m": -1.0}])
+def pretend(monkeypatch: pytest.MonkeyPatch, sample: np.ndarray, shared: np.ndarray | None = None) -> None:
+    """Let registrations end with these errors (n, 2), one after the other, those of `shared` converged."""
+    left = iter(range(len(sample)))
+
+    def register(source: gicp.Cloud, target: gicp.Cloud, moved: np.ndarray, *_: object, **__: object) -> SimpleNamespace:
+        these = np.array([next(left) for _ in moved])
+        converged = np.ones(len(these), np.bool_) if shared is None else shared[these]
+        return SimpleNamespace(translation=sample[these] - moved, converged=converged, iterations=these % 4)
+
+    monkeypatch.setattr(gicp, "register_noisy", register)
+
+
+def test_a_label_holds_what_its_registrations_ended_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = np.random.default_rng(0).standard_normal((400, 2)) @ [[2.0, 0.3], [0.0, 0.5]] + [0.7, -0.2]
+    sample[:40] += [30.0, 0.0]  # the second basin
+    converged = np.arange(400) % 5 != 0
+    pretend(monkeypatch, np.concatenate([sample, sample[:10]]), np.concatenate([converged, converged[:10]]))
+    found = monte_carlo.label(submap("flat", 100), 400, SETTINGS, REGISTRATION)
+    row, q = found.row, np.einsum("li,lj->ij", sample, sample) / 399
+    assert [row[name] for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")] == pytest.approx([q[0, 0], q[0, 1], q[1, 1]])
+    assert [row["mean_x_m"], row["mean_y_m"]] == pytest.approx(sample.mean(axis=0).tolist())
+    assert (row["runs"], row["converged_share"], row["iterations_mean"]) == (400, 0.8, 1.5)
+    assert row["main_basin_share"] == pytest.approx(0.9 * 0.99, abs=0.02)
+    assert np.allclose(found.errors, sample)
+    assert np.allclose(found.held_out, sample[:10])
+
+
+TARGET = dataclasses.replace(SETTINGS, held_out_runs=0, target_relative_error=0.2)
+
+
+@pytest.mark.parametrize("kind", ["flat", "rugged"])
+def test_a_label_that_stops_early_is_the_label_of_so_many_runs(kind: str) -> None:
+    of, stopping = submap(kind, 300), dataclasses.replace(TARGET, held_out_runs=7)
+    stopped = monte_carlo.label(of, 1000, stopping, REGISTRATION)
+    asked = monte_carlo.label(of, stopped.row["runs"], dataclasses.replace(SETTINGS, held_out_runs=7), REGISTRATION)
+    assert stopped.row["runs"] < 1000
+    assert stopped.row["relative_error"] <= 0.2
+    assert stopped.row == asked.row
+    assert np.array_equal(stopped.errors, asked.errors)
+    assert np.array_equal(stopped.held_out, asked.held_out)
+
+
+def test_a_label_never_stops_before_100_runs_nor_makes_more_than_it_may() -> None:
+    for target, runs, made in ((5.0, 500, 100), (5.0, 60, 60), (1e-6, 230, 230)):
+        settings = dataclasses.replace(TARGET, target_relative_error=target)
+        label = monte_carlo.label(submap("mild", 100), runs, settings, REGISTRATION)
+        assert label.row["runs"] == len(label.errors) == made
+
+
+def stops(monkeypatch: pytest.MonkeyPatch, share: float, tails: float, most: int) -> tuple[float, float]:
+    """Return how often Q +- 2 standard errors hold the true variance, and how often a label stopped, of 150 labels.
+
+    Errors are of Student's t of so many degrees of freedom, but for a share of them some hundred times wider.
+    """
+    rng, of, covered, stopped = np.random.default_rng(3), submap("flat", 100), [], []
+    wide = 2.0
+    true = (1 - share) * 0.02**2 * tails / (tails - 2) + share * wide**2
+    for _ in range(150):
+        inside = 0.02 * rng.standard_t(tails, (most, 2))
+        outside = wide * rng.standard_normal((most, 2))
+        pretend(monkeypatch, np.where(rng.random((most, 1)) < share, outside, inside))
+        row = monte_carlo.label(of, most, TARGET, REGISTRATION).row
+        covered.append(abs(row["q_xx_m2"] - true) <= 2 * row["se_xx_m2"])
+        stopped.append(row["runs"] < most)
+    return float(np.mean(covered)), float(np.mean(stopped))
+
+
+def test_a_stop_keeps_its_word_on_gaussian_errors_heavy_tails_and_a_second_basin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for share, tails, least in ((0.0, 100.0, 0.9), (0.0, 6.0, 0.85), (0.3, 100.0, 0.85), (0.1, 100.0, 0.85)):
+        covered, stopped = stops(monkeypatch, share, tails, 2000)
+        assert covered >= least
+        assert stopped > 0.9
+
+
+def test_a_stop_cannot_know_of_a_basin_that_no_run_has_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    # one run in a hundred: 0.99^100, a third of the labels, have met none at the first look
+    covered, stopped = stops(monkeypatch, 0.01, 100.0, 500)
+    assert 0.25 < stopped < 0.45
+    assert covered < 0.7
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"copy": "twin"},
+        {"prior_variance_m2": 0.0},
+        {"noise_sigma_m": -1.0},
+        {"held_out_runs": -1},
+        {"engine": "gpu"},
+        {"target_relative_error": 0.0},
+        {"seed": -1},
+    ],
+)
 def test_settings_that_make_no_sense_are_refused(change: dict[str, object]) -> None:
-    with pytest.raises(monte_carlo.MonteCarloError, match=next(iter(change))):
+    with pytest.raises(ValueError, match=f"^{next(iter(change))} is "):
         dataclasses.replace(SETTINGS, **change)  # type: ignore[arg-type]

@@ -29,7 +29,14 @@ def hashes(workspace: Workspace) -> dict[str, str]:
     """Return the hash of every artifact in dvc.lock, but of what holds timings."""
     lock = yaml.safe_load((workspace.folder / "dvc.lock").read_text())
     timed = tuple(
-        f"reports/{name}" for name in ("runtime.json", "tables/table_3", "figures/accuracy_time.png", "index.html")
+        f"reports/{name}"
+        for name in (
+            "runtime.json",
+            "tables/table_3",
+            "figures/accuracy_time.png",
+            "figures/cost_accuracy.png",
+            "index.html",
+        )
     )
     return {
         out["path"]: out["md5"]
@@ -80,7 +87,7 @@ def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(s
     line = "mine: {raw: data/raw/mine, truth: data/none, submap_length_m: 100, point_spacing_m: 3.2, label_runs: 20}"
     study.edit("params.yaml", "  test: &test\n", f"  test: &test\n    {line}\n")
     ran = study.run("dvc", "repro").stdout
-    own = ("ingest", "segment", "voxelise", "label", "estimate", "predict", "graph", "slam")
+    own = ("ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph", "slam")
     assert sorted(study.ran(ran)) == sorted([*(f"{stage}@mine" for stage in own), "report"])
     metrics = json.loads((study.folder / "reports/metrics.json").read_text())
     assert metrics["datasets"]["mine"]["simulated"] is False

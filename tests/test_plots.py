@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pointnetkl import figures, maps, paper, plots
+from pointnetkl import figures, label_plots, maps, paper, plots
 
 KL = pd.DataFrame(
     {
@@ -30,6 +30,26 @@ SLAM = KL.assign(
 LOSS = pd.DataFrame({"step": [1, 2, 3, 4], "training": [4.0, 3.0, 2.0, 1.0], "validation": [np.nan, 2.5, 2.0, 2.2]})
 
 
+ACCURACY = pd.DataFrame(
+    {
+        "survey": "borno_8",
+        "submap": [0] * 3 + [1] * 3,
+        "runs": [13, 100, 1000] * 2,
+        "relative_error": [0.4, 0.2, 0.1] * 2,
+    }
+).assign(kl_mean=lambda rows: rows["relative_error"] ** 2)
+VARIED = pd.DataFrame(
+    [
+        (survey, number, copy, sigma, 0.9 * sigma, 3.0 + sigma, 1e-4 + sigma**2, 2e-4 + 9 * sigma**2)
+        for survey in ("borno_8", "mine")
+        for number in (3, 5)
+        for copy in ("same", "split")
+        for sigma in (0.0, 0.02, 0.1, 0.5)
+    ],
+    columns=["survey", "submap", "copy", "noise_sigma_m", "cell_m", "spacing_m", "smaller_m2", "larger_m2"],
+)
+
+
 def graph() -> maps.Graph:
     """A square track with one loop closure."""
     square = 100.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
@@ -47,6 +67,9 @@ EVERY: dict[str, Callable[[], Figure]] = {
     "slam": lambda: plots.slam_error(SLAM),
     "labels": lambda: plots.eigenvalues(EIGENVALUES, 9.0, 0.01),
     "accuracy_time": lambda: plots.accuracy_time(KL, {"pointnetkl": 0.01, "constant": 1e-4}),
+    "cost_accuracy": lambda: label_plots.cost_accuracy(ACCURACY, 0.001),
+    "spacing": lambda: label_plots.spacing(VARIED, 9.0),
+    "noise": lambda: label_plots.noise(VARIED),
     "swath": lambda: maps.swath(100 * POINTS - [0, 0, 200], "baltic"),
     "canonical": lambda: maps.canonical({"baltic": POINTS, "borno_1": POINTS}),
     "bathymetry": lambda: maps.bathymetry({"borno_8": (100 * POINTS, 5.0)}),
@@ -69,6 +92,30 @@ def test_every_axis_names_its_unit(name: str):
     axes = EVERY[name]().axes[0]
     assert "(" in axes.get_xlabel() or axes.get_xlabel() in ("optimiser step", "seconds per submap, one thread")
     assert "(" in axes.get_ylabel() or name == "labels"
+
+
+@pytest.mark.parametrize("name", ["spacing", "noise"])
+def test_both_copies_of_every_survey_are_drawn_on_shared_axes(name: str):
+    axes = EVERY[name]().axes
+    assert [each.get_title() for each in axes] == [
+        f"{survey}, copy: {copy}" for survey in ("Bornö 8", "mine") for copy in ("same", "split")
+    ]
+    assert len({(each.get_xlim(), each.get_ylim()) for each in axes}) == 1
+
+
+def test_labels_of_nothing_leave_the_axis_and_do_not_stretch_it():
+    found = label_plots.noise(VARIED.assign(smaller_m2=VARIED["smaller_m2"].where(VARIED["noise_sigma_m"] > 0, 1e-16)))
+    assert found.axes[0].get_ylim()[0] == pytest.approx(1e-7)
+
+
+def test_without_a_time_per_registration_there_is_no_axis_of_seconds():
+    assert label_plots.cost_accuracy(ACCURACY, None).axes[0].child_axes == []
+    assert len(label_plots.cost_accuracy(ACCURACY, 0.001).axes[0].child_axes) == 1
+
+
+def test_without_variations_the_figures_are_empty_and_no_error():
+    assert plots.png(label_plots.cost_accuracy(ACCURACY.iloc[:0], None))
+    assert plots.png(label_plots.noise(VARIED.iloc[:0]))
 
 
 def test_the_training_curve_marks_the_step_with_the_least_validation_divergence():

@@ -13,9 +13,21 @@ import pytest
 import yaml
 
 import fake_artifacts
-from pointnetkl import artifacts, metrics, monte_carlo, report, results, settings, slam, study, summary
+from pointnetkl import (
+    artifacts,
+    label_study,
+    metrics,
+    monte_carlo,
+    report,
+    results,
+    sensitivity,
+    settings,
+    slam,
+    study,
+    summary,
+)
 
-UNTIMED = re.compile(r"table_3|index\.html|accuracy_time")
+UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +75,8 @@ def copy(root: Path, tmp_path: Path) -> Path:
 
 def test_the_same_artifacts_give_the_same_bytes_whatever_the_run_times(copy: Path, made: report.Report):
     times = artifacts.read_json(copy / "reports/runtime.json")
-    artifacts.write_json(copy / "reports/runtime.json", times | {"pointnetkl": {"mean_s": 5.0, "std_s": 1.0}})
+    slower = {name: {"mean_s": 5.0, "std_s": 1.0} for name in ("pointnetkl", "monte_carlo")}
+    artifacts.write_json(copy / "reports/runtime.json", times | slower)
     again = make(copy).files
     changed = {name for name in made.files if again[name] != made.files[name]}
     assert changed == {name for name in made.files if UNTIMED.search(name)}
@@ -146,7 +159,14 @@ def test_only_what_simulate_made_is_simulated(raw: str, entry: str | None):
 
 
 @pytest.mark.parametrize(
-    "name", ["data/labels/baltic.parquet", "reports/slam/mine.parquet", "reports/runtime.json", "models/fits.json"]
+    "name",
+    [
+        "data/labels/baltic.parquet",
+        "data/variations/mine.parquet",
+        "reports/slam/mine.parquet",
+        "reports/runtime.json",
+        "models/fits.json",
+    ],
 )
 def test_a_missing_artifact_is_named_before_anything_is_made(copy: Path, name: str):
     (copy / name).unlink()
@@ -205,5 +225,7 @@ def test_the_report_makes_exactly_the_files_that_dvc_yaml_names(made: report.Rep
 
 def test_what_is_read_of_a_table_is_what_its_stage_writes():
     assert set(results.LABELS.names) <= set(monte_carlo.LABELS.names)
+    assert set(results.VARIATIONS.names) <= set(sensitivity.VARIATIONS.names)
+    assert (label_study.RUNS, label_study.CONDITIONS) == (sensitivity.RUNS, sensitivity.CONDITIONS)
     assert set(results.SLAM.names) <= set(slam.ROWS.names)
     assert set(results.TRAJECTORIES.names) <= set(slam.TRAJECTORIES.names)

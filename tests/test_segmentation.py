@@ -97,6 +97,19 @@ def test_the_halves_come_from_alternate_pings(small: Survey, found: Segmentation
         assert first[0] % 2 != second[0] % 2
 
 
+def test_the_two_heads_of_a_sonar_stay_in_one_half(small: Survey):
+    # each ping of the small survey becomes two at one time, one of its port beams, one of its starboard beams
+    starboard = small.soundings["beam"] >= 30
+    pings = small.pings.loc[small.pings.index.repeat(2)].assign(ping=np.arange(2 * len(small.pings), dtype=np.int32))
+    soundings = small.soundings.assign(ping=2 * small.soundings["ping"] + starboard)
+    found = cut(Survey(pings, soundings, "local", (0.0, 0.0)))
+    for one in found.submaps:
+        for half in (one.first, one.second):
+            assert np.mean(half[:, 1] > 0) == pytest.approx(0.5, abs=0.05)
+    whole = cut(small)
+    assert all(np.array_equal(a.first, b.first) for a, b in zip(found.submaps, whole.submaps, strict=True))
+
+
 def test_thinning_leaves_one_point_in_every_occupied_cell(small: Survey, found: Segmentation):
     for one in found.submaps:
         for part in (one.points, one.first, one.second):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pointnetkl import artifacts, submap
-from pointnetkl.submap import Submap
+from pointnetkl.submap import Submap, SubmapError
 
 
 def make(number: int, sizes: tuple[int, int, int] = (30, 14, 16)) -> Submap:
@@ -34,3 +34,33 @@ def test_a_submap_without_halves_has_empty_ones():
 
 def test_no_submaps_make_an_empty_table():
     assert submap.from_table("small", submap.to_table([])) == []
+
+
+def same(one: Submap, other: Submap) -> bool:
+    return one.number == other.number and all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("points", "first", "second")
+    )
+
+
+@pytest.mark.parametrize("sizes", [(30, 14, 16), (20000, 9000, 11000), (70000, 0, 0), (32768, 16384, 16384)])
+def test_submaps_read_one_by_one_are_those_of_the_whole_table(tmp_path: Path, sizes: tuple[int, int, int]):
+    # larger and smaller than a row group of the file, and just as large
+    path = tmp_path / "s.parquet"
+    artifacts.write_table(path, submap.to_table(make(n, sizes) for n in (0, 3, 4, 12)), submap.POINTS, {})
+    whole = submap.from_table("small", artifacts.read_table(path, submap.POINTS))
+    assert all(map(same, submap.read_each("small", path), whole))
+    assert [one.number for one in submap.read_each("small", path)] == [0, 3, 4, 12]
+    assert all(same(submap.read("small", path, one.number), one) for one in whole)
+
+
+def test_a_file_without_submaps_has_none(tmp_path: Path):
+    artifacts.write_table(tmp_path / "s.parquet", submap.to_table([]), submap.POINTS, {})
+    assert list(submap.read_each("small", tmp_path / "s.parquet")) == []
+    with pytest.raises(SubmapError, match=r"s\.parquet: has no submap 3; run dvc repro segment@small"):
+        submap.read("small", tmp_path / "s.parquet", 3)
+
+
+def test_rows_that_are_not_sorted_by_submap_are_refused(tmp_path: Path):
+    artifacts.write_table(tmp_path / "s.parquet", submap.to_table([make(3), make(0)]), submap.POINTS, {})
+    with pytest.raises(SubmapError, match="not sorted"):
+        list(submap.read_each("small", tmp_path / "s.parquet"))

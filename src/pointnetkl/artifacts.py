@@ -1,10 +1,11 @@
 """Reading and writing of artifacts: Parquet tables and npz arrays, atomic, checked, the same bytes each time."""
 
 import contextlib
+import functools
 import io
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,11 +63,12 @@ def write_table(
     except (KeyError, pa.ArrowException) as error:
         raise ArtifactError(f"{path}: the table to write does not have its columns ({_line(error)})") from error
     buffer = io.BytesIO()
-    # fixed row groups: the bytes must not depend on the machine's memory; checksums: a flipped bit is found
+    # fixed row groups: the bytes must not depend on the machine's memory, and few of them hold one submap;
+    # checksums: a flipped bit is found
     pq.write_table(
         table.replace_schema_metadata(keys),
         buffer,
-        row_group_size=1 << 20,
+        row_group_size=1 << 16,
         compression="zstd",
         write_page_checksum=True,
     )
@@ -81,17 +83,18 @@ def read_table(path: Path, schema: pa.Schema, only: Sequence[tuple[str, str, Any
     """
     rows = list(only) if only else None
     table = _guarded(path, lambda: pq.read_table(path, filters=rows, page_checksum_verification=True))
-    stored = _guarded(path, lambda: table.column_names)  # damaged names are found only here
-    if missing := [name for name in schema.names if name not in stored]:
-        raise ArtifactError(f"{path}: lacks the column {missing[0]}; was it made by another stage?")
-    try:
-        table = table.select(schema.names).cast(schema)
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
-        raise ArtifactError(f"{path}: a column has the wrong type ({_line(error)})") from error
-    # pandas would turn whole numbers with a gap among them into floats; a float's gap is NaN
-    if gaps := [f.name for f in schema if pa.types.is_integer(f.type) and table[f.name].null_count]:
-        raise ArtifactError(f"{path}: the column {gaps[0]} has an empty value; was it made by another stage?")
-    return table.to_pandas()
+    return _checked(path, table, schema)
+
+
+def read_groups(path: Path, schema: pa.Schema) -> Iterator[pd.DataFrame]:
+    """Yield the rows of a table some thousands at a time, checked as `read_table` does: it need not fit in memory.
+
+    Raises:
+        ArtifactError: the file is missing or damaged, or lacks a column of the schema or values in one.
+    """
+    with _guarded(path, lambda: pq.ParquetFile(path, page_checksum_verification=True)) as file:
+        for group in range(file.num_row_groups):
+            yield _checked(path, _guarded(path, functools.partial(file.read_row_group, group)), schema)
 
 
 def table_metadata(path: Path) -> dict[str, Any]:
@@ -147,6 +150,20 @@ def read_json(path: Path) -> dict[str, Any]:
         ArtifactError: the file is missing or damaged, or holds something else.
     """
     return _object(path, _guarded(path, path.read_bytes))
+
+
+def _checked(path: Path, table: pa.Table, schema: pa.Schema) -> pd.DataFrame:
+    stored = _guarded(path, lambda: table.column_names)  # damaged names are found only here
+    if missing := [name for name in schema.names if name not in stored]:
+        raise ArtifactError(f"{path}: lacks the column {missing[0]}; was it made by another stage?")
+    try:
+        table = table.select(schema.names).cast(schema)
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+        raise ArtifactError(f"{path}: a column has the wrong type ({_line(error)})") from error
+    # pandas would turn whole numbers with a gap among them into floats; a float's gap is NaN
+    if gaps := [f.name for f in schema if pa.types.is_integer(f.type) and table[f.name].null_count]:
+        raise ArtifactError(f"{path}: the column {gaps[0]} has an empty value; was it made by another stage?")
+    return table.to_pandas()
 
 
 def _object(path: Path, text: bytes) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pointnetkl import maps, plots, pose, results, voxel
+from pointnetkl import label_plots, label_study, maps, plots, pose, results, voxel
 from pointnetkl.results import Folders, Test
 
 SHOWN = ("gt", "corrupted", "monte_carlo", "pointnetkl")  # trajectories, as far as they are there
@@ -62,6 +62,15 @@ def bathymetry(folders: Folders, tests: Mapping[str, Test], spacing_m: Mapping[s
 def trajectories(tests: Mapping[str, Test]) -> Figure:
     """Draw each test survey's graph at GT, corrupted, and solved."""
     return maps.trajectories({name: _graph(test) for name, test in tests.items()})
+
+
+def labels(variations: pd.DataFrame, prior_m2: float, runtime: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of what a label depends on (results.VARIATIONS), by name."""
+    runs = runtime.get("machine", {}).get("params", {}).get("runs")
+    seconds = runtime["monte_carlo"]["mean_s"] / runs if runs and "monte_carlo" in runtime else None
+    yield "cost_accuracy", label_plots.cost_accuracy(label_study.accuracy(variations), seconds)
+    yield "spacing", label_plots.spacing(label_study.by_spacing(variations), prior_m2)
+    yield "noise", label_plots.noise(label_study.by_noise(variations))
 
 
 def charts(

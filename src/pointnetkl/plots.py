@@ -57,7 +57,7 @@ def training(loss: pd.DataFrame) -> Figure:
             (best["step"], best["validation"]), xytext=(0, 14), textcoords="offset points", color=RED, ha="right",
         )  # fmt: skip
     axes.set(xlabel="optimiser step", ylabel="KL divergence (nats)", yscale="log")
-    _plain_log(axes, "y")
+    plain_log(axes, "y")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     return figure
@@ -74,7 +74,7 @@ def divergence(kl: pd.DataFrame) -> Figure:
         _whiskers(axes, rows, _colours(rows["method"]))
         _paper_marks(axes, rows, "paper")
         axes.set_xscale("log")
-        _plain_log(axes, "x")
+        plain_log(axes, "x")
     _legend_once(figure)
     return figure
 
@@ -89,7 +89,7 @@ def calibration(nees: pd.DataFrame) -> Figure:
         _dots(axes, rows["nees"], _colours(rows["method"]))
         axes.axvline(1.0, color=GREY, linestyle=":", linewidth=1)
         axes.set_xscale("log")
-        _plain_log(axes, "x")
+        plain_log(axes, "x")
     return figure
 
 
@@ -106,7 +106,7 @@ def slam_error(slam: pd.DataFrame) -> Figure:
         _dots(axes, rows["truth_rmse_xyz_m"], [ORANGE] * len(rows), "against truth", 0.25, "s")
         _paper_marks(axes, rows, "paper_rmse_xyz_m")
         axes.set_xscale("log")
-        _plain_log(axes, "x")
+        plain_log(axes, "x")
     _legend_once(figure)
     return figure
 
@@ -133,7 +133,7 @@ def eigenvalues(labels: Mapping[str, np.ndarray], prior_m2: float, floor_m2: flo
     axes.plot([], [], "x", color=GREY, label="the authors' network")
     axes.set(xscale="log", xlabel="eigenvalue of the label (m²)", ylim=(len(labels) - 0.4, -0.6))
     axes.set_yticks(range(len(labels)), [paper.title(survey) for survey in labels])
-    _plain_log(axes, "x")
+    plain_log(axes, "x")
     axes.grid(axis="x", alpha=0.3)
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return figure
@@ -158,8 +158,8 @@ def accuracy_time(kl: pd.DataFrame, seconds: Mapping[str, float]) -> Figure:
             name.set(ha="center", va=side)
         axes.set(xscale="log", yscale="log", xlabel="seconds per submap, one thread", ylabel="mean KL (nats)")
         axes.margins(0.2)
-        _plain_log(axes, "x")
-        _plain_log(axes, "y")
+        plain_log(axes, "x")
+        plain_log(axes, "y")
     return figure
 
 
@@ -235,9 +235,9 @@ def _colours(methods: pd.Series) -> list[str]:
     return [special.get(method, BLUE) for method in methods]
 
 
-def _plain_log(axes: Axes, which: str) -> None:
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    decades = _decades(axes, which)
+def plain_log(axes: Axes, which: str) -> None:
+    """Write plain numbers at a logarithmic axis, x or y, as many as its decades leave room for."""
+    axis, decades = axes.xaxis if which == "x" else axes.yaxis, _decades(axes, which)
     subs = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if decades < 0.8 else (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs, numticks=30))
     axis.set_major_formatter(FuncFormatter(lambda value, _: text_table.cell(float(value))))

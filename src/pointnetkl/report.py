@@ -6,12 +6,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from pointnetkl import artifacts, figures, page, plots, results, story, summary, tables, text_table, voxel
+from pointnetkl import (
+    artifacts,
+    figures,
+    label_study,
+    label_tables,
+    page,
+    plots,
+    results,
+    story,
+    summary,
+    tables,
+    text_table,
+    voxel,
+)
 from pointnetkl.results import Folders, Labels, Test
 from pointnetkl.study import Study
 from pointnetkl.summary import Settings
 from pointnetkl.text_table import Block
+
+_IN_WORDS = ("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise")
 
 
 @dataclass(frozen=True)
@@ -31,6 +47,7 @@ class _Found:
     tests: Mapping[str, Test]
     training: Mapping[str, float]  # PointNetKL's KL in training and validation, nats
     runtime: Mapping[str, Any]
+    variations: pd.DataFrame  # schema results.VARIATIONS
 
 
 def make(folders: Folders, study: Study, simulate: Mapping[str, Any], settings: Settings) -> Report:
@@ -67,6 +84,7 @@ def _read(folders: Folders, study: Study) -> _Found:
         tests={name: results.read_test(folders, name, labels[name]) for name in study.test},
         training=results.read_training(folders),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
+        variations=results.read_variations(folders, study),
     )
 
 
@@ -109,6 +127,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         for name, each in numbers["datasets"].items()
     }
     eigenvalues = {name: np.linalg.eigvalsh(labels.q) for name, labels in found.labels.items()}
+    rows = {name: labels.rows for name, labels in found.labels.items()}
     kl, slam = tables.divergences(numbers["kl"], datasets), tables.slam_errors(numbers["slam"], datasets)
     return {
         "table_1": tables.table_1(datasets),
@@ -116,6 +135,10 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "table_3": tables.table_3(found.runtime),
         "table_4": [*tables.table_4(numbers["slam"], datasets), slam],
         "labels": [tables.label_quantiles(eigenvalues, datasets)],
+        "label_quality": [label_tables.quality(rows, datasets)],
+        "label_accuracy": [label_tables.accuracy(label_study.accuracy(found.variations), datasets)],
+        "label_noise": [label_tables.noise(label_study.by_noise(found.variations), datasets)],
+        "label_conditions": [label_tables.conditions(label_study.conditions(found.variations), datasets)],
         "kl": [kl],
         "calibration": [tables.calibrations(numbers["calibration"], datasets)],
         "slam": [slam],
@@ -129,7 +152,7 @@ def _table_files(shown: Mapping[str, Sequence[Block]]) -> Iterator[tuple[str, by
             # DVC's plots have one name a bar
             frame = frame.assign(survey_method=frame["survey"] + " " + frame["method"])
         yield f"{name}.csv", text_table.csv(frame).encode()
-        if name in ("table_1", "table_2", "table_3", "table_4", "labels"):
+        if name in _IN_WORDS:
             yield f"{name}.md", text_table.markdown(blocks).encode()
 
 
@@ -145,6 +168,8 @@ def _figures(
     yield "canonical", plots.png(figures.canonical(found.canonical, rng))
     yield "training", plots.png(plots.training(results.read_loss(folders)))
     yield "labels", plots.png(plots.eigenvalues(eigenvalues, prior, settings.kl_floor_m2))
+    for name, figure in figures.labels(found.variations, prior, found.runtime):
+        yield name, plots.png(figure)
     yield "bathymetry", plots.png(figures.bathymetry(folders, found.tests, spacing))
     yield "trajectories", plots.png(figures.trajectories(found.tests))
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):

@@ -18,7 +18,14 @@ from pointnetkl.errors import PointNetKLError
 from pointnetkl.study import Study
 
 _COVARIANCE = [(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")]
-LABELS = pa.schema([("submap", pa.int32()), *_COVARIANCE, ("spacing_m", pa.float64()), ("self_matching", pa.bool_())])
+_WENT = [  # how a label's registrations went
+    *[(name, pa.float64()) for name in ("relative_error", "mean_x_m", "mean_y_m")],
+    *[(name, pa.float64()) for name in ("converged_share", "main_basin_share", "iterations_mean")],
+]
+_LABEL = [("submap", pa.int32()), ("runs", pa.int32()), ("spacing_m", pa.float64()), *_COVARIANCE, *_WENT]
+LABELS = pa.schema([*_LABEL, ("self_matching", pa.bool_())])
+_VARIED = [("noise_sigma_m", pa.float64()), ("cell_m", pa.float64()), ("points", pa.int32())]
+VARIATIONS = pa.schema([*((name, pa.string()) for name in ("survey", "study", "copy")), *_VARIED, *_LABEL])
 ERRORS = ("rmse_xyz_m", "truth_rmse_xyz_m", "map_to_map_m")
 SLAM = pa.schema([("method", pa.string()), ("repetition", pa.int32()), *((name, pa.float64()) for name in ERRORS)])
 TRAJECTORIES = pa.schema(
@@ -33,7 +40,12 @@ _EVERY = (
     "labels/{}.parquet",
     "labels/{}_errors.npz",
 )
-_TESTED = ("covariances/{}_estimated.parquet", "covariances/{}_predicted.parquet", "graphs/{}.npz")
+_TESTED = (
+    "variations/{}.parquet",
+    "covariances/{}_estimated.parquet",
+    "covariances/{}_predicted.parquet",
+    "graphs/{}.npz",
+)
 _SLAM = ("slam/{}.parquet", "slam/{}_trajectories.parquet")
 _TRAINED = ("train/loss.csv", "train/summary.json", "runtime.json")
 
@@ -82,6 +94,7 @@ class Labels:
     q: np.ndarray  # (k, 2, 2) m^2
     spacing_m: np.ndarray  # (k,) median distance of a point to its nearest
     self_matching: np.ndarray  # (k,) whether the points lie too far apart for the copy to be a fair one
+    rows: pd.DataFrame  # schema LABELS, all of the above and how the registrations went
     parameters: dict[str, Any]
 
 
@@ -104,7 +117,7 @@ def read_labels(folders: Folders, name: str) -> Labels:
     rows = artifacts.read_table(path, LABELS)
     columns = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
     number, spacing, matching = columns
-    return Labels(number, table.to_matrices(rows), spacing, matching, artifacts.table_metadata(path))
+    return Labels(number, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
 
 
 def read_test(folders: Folders, name: str, labels: Labels) -> Test:
@@ -121,7 +134,7 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
             _same_submaps(path, rows["submap"].to_numpy(), labels, str(method))
             covariances[str(method)] = table.to_matrices(rows)
     path = folders.data / f"labels/{name}_errors.npz"
-    errors, _ = artifacts.read_arrays(path)
+    errors, _ = artifacts.read_arrays(path)  # `errors` of it, the labels' own, ends in NaN where a label stopped early
     _same_submaps(path, errors["submap"], labels, "the held-out errors")
     graph, _ = artifacts.read_arrays(folders.data / f"graphs/{name}.npz")
     return Test(
@@ -133,6 +146,13 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
         loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1).reshape(-1, 2),
         registrations=len(graph["registration_node"]),
     )
+
+
+def read_variations(folders: Folders, study: Study) -> pd.DataFrame:
+    """Read the test surveys' labels under varied conditions, one table of schema VARIATIONS."""
+    paths = (folders.data / f"variations/{name}.parquet" for name in study.test)
+    every = [artifacts.read_table(path, VARIATIONS) for path in paths]
+    return pd.concat([VARIATIONS.empty_table().to_pandas(), *every], ignore_index=True)
 
 
 def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataFrame]:

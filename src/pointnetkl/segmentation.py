@@ -54,8 +54,8 @@ def segment(
     """Cut a survey (tables of schemas survey.PINGS and SOUNDINGS) into submaps, numbered from 0 along its track.
 
     A submap holds its soundings of quality 0 that do not stand alone, one drawn at random from each square cell
-    of `spacing_m`; its halves hold those of every other ping, and of the others, thinned alike. The order of
-    rows in the tables does not matter.
+    of `spacing_m`; its halves hold those of every other ping, and of the others, thinned alike. Pings of one time
+    count as one here. The order of rows in the tables does not matter.
 
     Raises:
         SegmentationError: the survey has no usable pings or soundings, or is too short for one submap.
@@ -63,12 +63,14 @@ def segment(
     dropped: Counter[str] = Counter()
     pings = _checked_pings(survey, pings)
     row, xyz = _good_soundings(survey, pings, soundings, dropped)
+    # by time, because a sonar's two heads ping at once, each on its side: apart, the halves would share no ground
+    instant = np.unique(pings["time_s"], return_inverse=True)[1]
     submaps: list[Submap] = []
     poses = []
     for stretch in _stretches(survey, pings, length_m, how.max_gap_m, dropped):
         rows = slice(*np.searchsorted(row, [stretch.first, stretch.last]))
         T_map_submap = pose.matrix(pings.loc[stretch.middle, _XYZ].to_numpy(np.float64), stretch.yaw)
-        points, odd = _company(xyz[rows], row[rows] - stretch.first, T_map_submap, spacing_m, dropped)
+        points, odd = _company(xyz[rows], instant[row[rows]] - instant[stretch.first], T_map_submap, spacing_m, dropped)
         rng = np.random.default_rng([how.seed, len(submaps)])
         found = Submap(survey, len(submaps), *_thinned(points, odd, spacing_m, rng))
         if _too_few(found):
@@ -98,13 +100,13 @@ def _stretches(
 
 
 def _company(
-    xyz: np.ndarray, ping: np.ndarray, T_map_submap: np.ndarray, spacing_m: float, dropped: Counter[str]
+    xyz: np.ndarray, instant: np.ndarray, T_map_submap: np.ndarray, spacing_m: float, dropped: Counter[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return soundings (n, 3) in the submap's frame but for those standing alone, and which are of odd pings."""
+    """Return soundings (n, 3) in the submap's frame but for those standing alone, and which are of odd instants."""
     points = pose.transform(np.linalg.inv(T_map_submap), xyz)
     alone = spacing.outlying(points, spacing_m)
     dropped["soundings standing alone"] += int(alone.sum())
-    return points[~alone], ping[~alone] % 2 == 1
+    return points[~alone], instant[~alone] % 2 == 1
 
 
 def _thinned(

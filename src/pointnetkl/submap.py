@@ -1,12 +1,14 @@
 """Submaps: pieces of a survey of equal track length, thinned to an even spacing, in frames of their own."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from pointnetkl import artifacts
 from pointnetkl.errors import PointNetKLError
 
 WHOLE, FIRST, SECOND = 0, 1, 2  # parts of a submap: all its pings, every other one, the others
@@ -49,6 +51,37 @@ class Submap:
 def from_table(survey: str, points: pd.DataFrame) -> list[Submap]:
     """Return the submaps of a POINTS table, by number."""
     return [_submap(survey, int(number), rows) for number, rows in points.groupby("submap", sort=True)]
+
+
+def read(survey: str, path: Path, number: int) -> Submap:
+    """Return one submap of a survey's file of POINTS, reading little else of it.
+
+    Raises:
+        SubmapError: the file has no such submap.
+        ArtifactError: the file is missing or damaged.
+    """
+    rows = artifacts.read_table(path, POINTS, only=[("submap", "==", number)])
+    if rows.empty:
+        raise SubmapError(f"{path}: has no submap {number}; run dvc repro segment@{survey}")
+    return _submap(survey, number, rows)
+
+
+def read_each(survey: str, path: Path) -> Iterator[Submap]:
+    """Yield the submaps of a survey's file of POINTS, by number, with only a few of them in memory.
+
+    Raises:
+        SubmapError: the rows are not sorted by submap.
+        ArtifactError: the file is missing or damaged.
+    """
+    rest = POINTS.empty_table().to_pandas()
+    for group in artifacts.read_groups(path, POINTS):
+        rows = pd.concat([rest, group], ignore_index=True)
+        if not rows["submap"].is_monotonic_increasing:
+            raise SubmapError(f"{path}: its rows are not sorted by submap; run dvc repro segment@{survey}")
+        last = rows["submap"] == rows["submap"].max()  # of which the next group may have more
+        yield from from_table(survey, rows[~last])
+        rest = rows[last]
+    yield from from_table(survey, rest)
 
 
 def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:

@@ -33,6 +33,6 @@ def tabulate(methods: Sequence[Method], submaps: Sequence[Submap]) -> pd.DataFra
         raise SubmapError("there are no submaps to get covariances of; did segment keep any of this survey?")
     tables = []
     for method in methods:
-        q = np.stack(compute.over(method.covariance, submaps, method.name))
+        q = np.stack(compute.in_threads(method.covariance, submaps, method.name))
         tables.append(table.from_matrices(submaps[0].survey, method.name, [s.number for s in submaps], q))
     return pd.concat(tables, ignore_index=True)

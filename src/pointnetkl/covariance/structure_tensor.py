@@ -51,7 +51,7 @@ def slope_tensor(normals: np.ndarray) -> np.ndarray:
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the four numbers with the least mean KL to the training labels."""
-    tensors = compute.over(lambda s: _tensor_of(s, training.registration), training.submaps, "structure_tensor")
+    tensors = compute.in_threads(lambda s: _tensor_of(s, training.registration), training.submaps, "structure_tensor")
     return fit_tensors(np.stack(tensors), training.labels, settings)
 
 

@@ -4,6 +4,7 @@ A counter-based generator has no state: run 7 of a submap gets the same noise in
 engine it is drawn.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +74,7 @@ def _radius(word):  # type: ignore[no-untyped-def]
     s = (m - _f32(1)) / (m + _f32(1))
     q = s * s
     series = _f32(2) + q * (_f32(2 / 3) + q * (_f32(2 / 5) + q * (_f32(2 / 7) + q * _f32(2 / 9))))
-    return np.sqrt(_f32(-2) * (_f32(exponent) * _LN2 + s * series))
+    return math.sqrt(_f32(-2) * (_f32(exponent) * _LN2 + s * series))
 
 
 @device

@@ -1,5 +1,7 @@
 """Normals of a cloud from its points' neighbours, and of noisy copies of it by what the noise adds to their scatter."""
 
+import math
+
 import numpy as np
 
 from pointnetkl.gicp.device import device, kernel
@@ -123,7 +125,7 @@ def normal(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     z = uz if take_u else (vz if take_v else wz)
     square = x * x + y * y + z * z
     known = square > _f32(1e-30)
-    length = _f32(1) / np.sqrt(square) if known else _f32(0)
+    length = _f32(1) / math.sqrt(square) if known else _f32(0)
     length = -length if z < 0 else length
     return x * length, y * length, (z * length if known else _f32(1))
 

@@ -144,18 +144,28 @@ def register_noisy(
     settings: Settings,
     yaw: bool = False,
     recompute_normals: bool = True,
+    engine: str = "cpu",
 ) -> Registrations:
     """Register copies of the source, each moved by a translation (b, 2) in metres and noise, onto the target.
 
     Copy i has the noise of run `noise.first` + i, in the order of source.points. A copy's normals come from its own
-    noisy points and the clean source's neighbour lists, or are the clean source's. The motion found lays the moved, noisy copy on the target.
+    noisy points and the clean source's neighbour lists, or are the clean source's. The motion found lays the moved,
+    noisy copy on the target. The engine is cpu, or cuda for an NVIDIA GPU: the same answer, up to float32's rounding.
+
+    Raises:
+        GicpError: the engine cuda cannot do it, as cuda.register_noisy says.
     """
+    limits = _limits(settings, yaw, recompute_normals)
+    if engine == "cuda":
+        from pointnetkl.gicp import cuda  # here, because a machine without a GPU needs none of it
+
+        return cuda.register_noisy(source, target, translations, noise, limits)
     found = kernel.register_noisy(
         source.as_source(target, np.zeros(3)),
         target.as_target,
         np.ascontiguousarray(translations, np.float64),
         noise.draws(),
-        _limits(settings, yaw, recompute_normals),
+        limits,
     )
     motions, iterations, converged = found
     return Registrations(motions[:, :2], motions[:, 2], converged, iterations)

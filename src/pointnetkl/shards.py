@@ -1,0 +1,136 @@
+"""Labels kept as they are made, a file each, named by all that decides them: a killed run resumes where it was."""
+
+import functools
+import hashlib
+import json
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import scipy
+
+from pointnetkl import artifacts, compute, gicp, monte_carlo, settings, submap
+from pointnetkl.artifacts import ArtifactError
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.monte_carlo import Label
+from pointnetkl.submap import Submap
+
+SOURCES = ("gicp/*.py", "error_statistics.py", "monte_carlo.py")  # the modules whose code decides a label
+
+
+class ShardError(PointNetKLError):
+    """A label cannot be kept, or a worker would make another one than was asked for."""
+
+
+@functools.cache
+def kernel_version() -> str:
+    """Return a hash of the code that decides a label: nobody has to remember to raise a number."""
+    folder = Path(__file__).parent
+    # text, so that line ends do not count; and the libraries that draw, search and compile
+    sources = {str(f.relative_to(folder)): f.read_text("utf-8") for s in SOURCES for f in sorted(folder.glob(s))}
+    return _hash({"sources": sources, "libraries": [np.__version__, scipy.__version__, numba.__version__]})
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the labels of a survey are made of and where they are kept: all that a worker is told."""
+
+    survey: str
+    submaps: Path  # of submap.POINTS, where the workers see it too
+    folder: Path  # of the shards, likewise
+    runs: int
+    settings: monte_carlo.Settings
+    registration: gicp.Settings
+    kernel: str  # of who hands out the work: kernel_version()
+
+    def path(self, of: Submap) -> Path:
+        """Return the file of a submap's label: its name changes with anything that the label depends on."""
+        points = (of.points,) if self.settings.copy == "same" else (of.first, of.second)
+        content = {
+            "survey": of.survey,
+            "submap": of.number,
+            "points": [(p.dtype.str, p.shape, hashlib.sha256(p.tobytes()).hexdigest()) for p in points],
+            "runs": self.runs,
+            "settings": settings.as_metadata(self.settings),
+            "registration": settings.as_metadata(self.registration),
+            "kernel": self.kernel,
+        }
+        return self.folder / f"{_hash(content)}.npz"
+
+
+def labels(job: Job) -> tuple[list[Label], int]:
+    """Return the labels of a survey's submaps, by number, and how many of them were not there and had to be made.
+
+    Raises:
+        ShardError: a label could not be kept, or a worker has other code or other points.
+        SubmapError: there are no submaps.
+    """
+    sweep(job.folder)
+    paths = {one.number: job.path(one) for one in submap.read_each(job.survey, job.submaps)}
+    if not paths:
+        raise submap.SubmapError(f"{job.submaps}: has no submaps; did segment keep any of {job.survey}?")
+    there = {number: found for number, path in paths.items() if (found := read(path))}
+    missing = [(number, path.name) for number, path in paths.items() if number not in there]
+    compute.over(functools.partial(make, job), missing, f"label {job.survey}")
+    return [there.get(number) or _made(path) for number, path in paths.items()], len(missing)
+
+
+def make(job: Job, item: tuple[int, str]) -> None:
+    """Label one submap, by its number, and keep the label under the given name, unless it is there.
+
+    Raises:
+        ShardError: the label cannot be kept, or would not be the one that was asked for.
+    """
+    number, name = item
+    if kernel_version() != job.kernel:
+        raise ShardError(
+            f"{socket.gethostname()}: a worker there has another version of pointnetkl, NumPy, SciPy or Numba than the"
+            " stage; install the same in both places and start the workers again"
+        )
+    one = submap.read(job.survey, job.submaps, number)
+    if (path := job.path(one)).name != name:
+        raise ShardError(f"{job.submaps}: submap {number} has changed since the stage began; run it again")
+    if not read(path):
+        write(path, monte_carlo.label(one, job.runs, job.settings, job.registration))
+
+
+def write(path: Path, label: Label) -> None:
+    """Keep a label, whole or not at all.
+
+    Raises:
+        ShardError: it cannot be written.
+    """
+    row = {name: value.item() if isinstance(value, np.generic) else value for name, value in label.row.items()}
+    arrays = {"errors": label.errors.astype(np.float32), "held_out": label.held_out.astype(np.float32)}
+    try:
+        artifacts.write_arrays(path, arrays, {"name": path.name, "row": row})
+    except ArtifactError as error:
+        raise ShardError(f"{error}; the labels finished before are kept: mend that and run it again") from error
+
+
+def read(path: Path) -> Label | None:
+    """Return a label that was kept, its errors in float32; None where it is missing or damaged."""
+    try:
+        arrays, metadata = artifacts.read_arrays(path)
+        return Label(metadata["row"], arrays["errors"], arrays["held_out"]) if metadata["name"] == path.name else None
+    except (ArtifactError, KeyError):
+        return None
+
+
+def sweep(folder: Path) -> None:
+    """Delete what killed writers left half written."""
+    for partial in folder.glob(".*.partial"):
+        partial.unlink(missing_ok=True)
+
+
+def _made(path: Path) -> Label:
+    if (label := read(path)) is None:
+        raise ShardError(f"{path}: was made and is gone or damaged; is its folder seen by the workers? Run it again")
+    return label
+
+
+def _hash(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
