@@ -53,4 +53,3 @@ class LocalDask:
             )
         self.started.append(process)
         return process
-

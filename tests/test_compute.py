@@ -151,7 +151,7 @@ def test_an_address_without_a_scheduler_is_told_soon(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("wrong", ["soon", "-1", "nan", "inf", ""])
 def test_a_time_to_wait_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, wrong: str):
     ask_cluster(monkeypatch, "tcp://127.0.0.1:1", wrong)
-    with pytest.raises(ComputeError, match="POINTNETKL_WORKER_TIMEOUT_S is .*must be a number of seconds"):
+    with pytest.raises(ComputeError, match=r"POINTNETKL_WORKER_TIMEOUT_S is .*must be a number of seconds"):
         compute.over(math.sqrt, [4.0], "root")
 
 
@@ -175,9 +175,11 @@ def test_a_cluster_gives_the_answers_in_order_and_tells_how_its_workers_failed(
     worker = dask.worker()
     ask_cluster(monkeypatch, dask.address, "60")
     assert compute.over(math.sqrt, [float(n * n) for n in range(50)], "root") == list(range(50))
-    with pytest.raises(ComputeError, match="cannot load .*No module named 'test_compute'.*install the same pointnetkl"):
+    with pytest.raises(
+        ComputeError, match=r"cannot load .*No module named 'test_compute'.*install the same pointnetkl"
+    ):
         compute.over(draw, [0], "draw")
-    with pytest.raises(ValueError, match="math domain|nonnegative"):
+    with pytest.raises(ValueError, match=r"math domain|nonnegative"):
         compute.over(math.sqrt, [1.0, -1.0], "root")
     with pytest.raises(ComputeError, match=r"1 workers of tcp.* died over the same submap.*--memory-limit"):
         compute.over(os._exit, [1], "exit")
@@ -193,7 +195,7 @@ def test_a_scheduler_that_goes_away_ends_the_work_in_a_sentence(monkeypatch: pyt
     ask_cluster(monkeypatch, dask.address, "60")
     monkeypatch.setattr(compute, "_CONNECT_S", 5.0)
     try:
-        with pytest.raises(ComputeError, match="the scheduler at tcp.* went away; what was finished is kept"):
+        with pytest.raises(ComputeError, match=r"the scheduler at tcp.* went away; what was finished is kept"):
             compute.over(functools.partial(os.kill, dask.scheduler.pid), [signal.SIGKILL] + [0] * 100, "kill")
     finally:
         dask.close()

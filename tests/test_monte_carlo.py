@@ -121,7 +121,9 @@ def pretend(monkeypatch: pytest.MonkeyPatch, sample: np.ndarray, shared: np.ndar
     """Let registrations end with these errors (n, 2), one after the other, those of `shared` converged."""
     left = iter(range(len(sample)))
 
-    def register(source: gicp.Cloud, target: gicp.Cloud, moved: np.ndarray, *_: object, **__: object) -> SimpleNamespace:
+    def register(
+        source: gicp.Cloud, target: gicp.Cloud, moved: np.ndarray, *_: object, **__: object
+    ) -> SimpleNamespace:
         these = np.array([next(left) for _ in moved])
         converged = np.ones(len(these), np.bool_) if shared is None else shared[these]
         return SimpleNamespace(translation=sample[these] - moved, converged=converged, iterations=these % 4)

@@ -29,9 +29,7 @@ def survey(tmp_path: Path) -> Path:
 def test_a_label_read_is_the_label_kept_in_single_precision(survey: Path):
     asked = job(survey)
     (first, *_), made = shards.labels(asked)
-    label = monte_carlo.label(
-        submap.read("toy", asked.submaps, 0), asked.runs, asked.settings, asked.registration
-    )
+    label = monte_carlo.label(submap.read("toy", asked.submaps, 0), asked.runs, asked.settings, asked.registration)
     assert made == SUBMAPS
     assert first.row == label.row
     assert np.array_equal(first.errors, label.errors.astype(np.float32))
