@@ -51,11 +51,11 @@ def workers() -> int:
     return int(asked)
 
 
-def over(function: Callable[[Item], Result], items: Sequence[Item], doing: str) -> list[Result]:
+def over(function: Callable[[Item], Result], items: Sequence[Item], doing: str, processes: bool = True) -> list[Result]:
     """Return the function of every item, in order, with a progress bar that says what is being done.
 
-    It runs in local processes, or on the Dask cluster of DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this
-    process, whatever else is set. The function keeps its work itself where that is to survive a failure.
+    It runs in local processes (in threads where processes would take turns, as at one GPU), or on the Dask cluster of
+    DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this process, whatever else is set. The function keeps its work itself where that is to survive a failure.
 
     Raises:
         ComputeError: a worker died, or there is none, or no cluster at the address.
@@ -66,6 +66,8 @@ def over(function: Callable[[Item], Result], items: Sequence[Item], doing: str) 
     address = os.environ.get("DASK_SCHEDULER_ADDRESS")
     if address and os.environ.get("POINTNETKL_WORKERS") != "1":
         return _on_cluster(function, items, doing, address)
+    if count > 1 and not processes:
+        return in_threads(function, items, doing)
     if count > 1:
         return _in_processes(function, items, doing, count)
     return [function(item) for item in progress(items, doing, len(items))]

@@ -74,7 +74,8 @@ def labels(job: Job) -> tuple[list[Label], int]:
         raise submap.SubmapError(f"{job.submaps}: has no submaps; did segment keep any of {job.survey}?")
     there = {number: found for number, path in paths.items() if (found := read(path))}
     missing = [(number, path.name) for number, path in paths.items() if number not in there]
-    compute.over(functools.partial(make, job), missing, f"label {job.survey}")
+    gpu = job.settings.engine == "cuda"
+    compute.over(functools.partial(make, job), missing, f"label {job.survey}", processes=not gpu)
     return [there.get(number) or _made(path) for number, path in paths.items()], len(missing)
 
 

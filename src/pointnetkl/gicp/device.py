@@ -3,9 +3,10 @@
 from typing import Any
 
 import numba
+from numba.core import config
 
 # Vectorise straight-line sums as well: the normals' nine sums become one addition, three times as fast.
-numba.config.SLP_VECTORIZE = 1
+config.SLP_VECTORIZE = 1
 
 # The compiler may fuse a multiplication with an addition and take zero for minus zero, but not reorder sums: that
 # would cost digits, and make the answer depend on the machine's vectors.
