@@ -55,7 +55,8 @@ def over(function: Callable[[Item], Result], items: Sequence[Item], doing: str, 
     """Return the function of every item, in order, with a progress bar that says what is being done.
 
     It runs in local processes (in threads where processes would take turns, as at one GPU), or on the Dask cluster of
-    DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this process, whatever else is set. The function keeps its work itself where that is to survive a failure.
+    DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this process, whatever else is set. The function keeps its
+    work itself where that is to survive a failure.
 
     Raises:
         ComputeError: a worker died, or there is none, or no cluster at the address.
