@@ -47,11 +47,18 @@ def test_the_kernel_has_the_references_answer_on_simulated_ground(copy: str) -> 
     assert found["runs_apart"] == len(found["apart"])
 
 
+def test_the_gain_of_a_second_worker_ends_in_its_numbers() -> None:
+    found = last_line("scaling", "--submaps", "2", "--runs", "10", "--repetitions", "1")
+    assert found["workers"] == 2
+    assert found["efficiency"] == pytest.approx(found["seconds_one"] / (2 * found["seconds_many"]), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("script", "options", "why"),
     [
         ("gicp", ("--repetitions", "0"), "--repetitions 0"),
         ("agreement", ("--submaps", "1"), "--submaps is 1"),
+        ("scaling", ("--workers", "1"), "--workers"),
         ("agreement", ("--params", "nowhere.yaml"), "nowhere.yaml"),
         ("agreement", ("--points", "2"), "3 or more points"),
     ],
