@@ -15,7 +15,9 @@ def main(arguments: argparse.Namespace) -> None:
     registration = settings.read(arguments.params, "registration", gicp.Settings)
     runs = study.survey(arguments.params, arguments.survey).label_runs
     submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # a worker may stand elsewhere
-    job = shards.Job(arguments.survey, submaps, folder, runs, chosen, registration, shards.kernel_version())
+    job = shards.Job(
+        arguments.survey, submaps, folder, runs, chosen, registration, shards.kernel_version(chosen.engine)
+    )
     labels, made = shards.labels(job)
     print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
     rows = pd.DataFrame([one.row for one in labels], columns=monte_carlo.LABELS.names)
@@ -32,7 +34,8 @@ def main(arguments: argparse.Namespace) -> None:
     }
     artifacts.write_table(arguments.labels, rows, monte_carlo.LABELS, parameters)
     artifacts.write_arrays(arguments.errors, samples, parameters)
-    print(*label_summary.lines(arguments.survey, rows, chosen.prior_variance_m2**0.5), sep="\n")
+    prior_sigma_m, target = chosen.prior_variance_m2**0.5, chosen.target_relative_error
+    print(*label_summary.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")
 
 
 def padded(errors: list[np.ndarray]) -> np.ndarray:

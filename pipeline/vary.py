@@ -26,7 +26,8 @@ def main(arguments: argparse.Namespace) -> None:
         label=label,
         registration=registration,
     )
-    found = compute.over(rows, sensitivity.cases(numbers, chosen, label), f"vary {arguments.survey}")
+    cases = sensitivity.cases(numbers, chosen, label)
+    found = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
     sections = {"vary": chosen, "label": label, "registration": registration}
     params = {name: settings.as_metadata(values) for name, values in sections.items()}
     artifacts.write_table(

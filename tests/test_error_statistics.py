@@ -66,8 +66,10 @@ def test_no_direction_has_a_larger_relative_error():
     assert error_statistics.relative_error(sample) == pytest.approx(each.max(), rel=2e-3)
 
 
-def test_errors_on_a_line_have_no_relative_error():
-    assert error_statistics.relative_error(np.outer(np.arange(5.0), [1, 0])) == np.inf
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (1.0, 0.7), (1.0, 2.0), (1.0, 3.0)])
+def test_errors_on_a_line_have_no_relative_error(direction: tuple[float, float]):
+    sample = np.outer(np.random.default_rng(3).standard_normal(400), direction)
+    assert error_statistics.relative_error(sample) == np.inf
 
 
 @pytest.mark.parametrize(("outside", "apart"), [(0, 0.0), (100, 4.0), (400, 4.0)])

@@ -48,6 +48,10 @@ def test_a_run_has_the_same_noise_in_whatever_batch_and_at_whatever_size() -> No
     assert np.array_equal(gicp.Noise(0.3, 2**63 - 1, first=7).of_runs(3, 50), whole[7:, :50])
 
 
+def test_runs_beyond_32_bits_have_noise_of_their_own() -> None:
+    assert not np.array_equal(gicp.Noise(1.0, 5, 2**32).of_runs(1, 10), gicp.Noise(1.0, 5).of_runs(1, 10))
+
+
 def test_no_noise_is_no_noise() -> None:
     assert not gicp.Noise(0.0, 1).of_runs(2, 10).any()
 

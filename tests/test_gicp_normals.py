@@ -16,7 +16,7 @@ def of_copy(cloud: gicp.Cloud, noise: np.ndarray) -> np.ndarray:
     source = cloud.as_source(cloud, np.zeros(3))
     n = len(cloud.points)
     found = np.empty(3 * (n + normals.LANES), np.float32)
-    rows, sums = np.empty(16 * n, np.float32), np.zeros_like(source.neighbourhoods)
+    rows, sums = np.empty(normals.ROW * n, np.float32), np.zeros_like(source.neighbourhoods)
     shaken = np.ascontiguousarray(noise.T, np.float32)
     normals.of_copy(source.points, shaken, source.neighbourhoods, source.lists, rows, sums, found)
     return found[: 3 * n].reshape(-1, 3)

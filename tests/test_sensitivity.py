@@ -136,6 +136,7 @@ def test_thinning_keeps_one_point_of_each_coarser_cell_in_every_part():
         {"runs": 2},
         {"compared_runs": 2},
         {"run_counts": [2]},
+        {"run_counts": [100_000]},
         {"thinnings": [0.5]},
         {"thinnings": []},
         {"noise_sigmas_m": [-0.1]},

@@ -2,7 +2,9 @@
 
 import dataclasses
 import errno
+import os
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -103,13 +105,16 @@ def test_a_damaged_label_is_made_again(survey: Path):
     assert all(map(same_label, expected, again))
 
 
-def test_what_a_killed_writer_left_half_written_is_removed(survey: Path):
+def test_what_a_writer_left_half_written_long_ago_is_removed_and_what_another_writes_now_is_not(survey: Path):
     (survey / "shards").mkdir()
-    half = survey / "shards" / ".0123.npz.4711.partial"
-    half.write_bytes(b"PK")
+    old, new = (survey / "shards" / f".0123.npz.{name}.partial" for name in ("old", "new"))
+    for half in (old, new):
+        half.write_bytes(b"PK")
+    os.utime(old, (0, time.time() - 2 * 3600))
     shards.labels(job(survey))
-    assert not half.exists()
-    assert len(intact(survey)) == len(list((survey / "shards").iterdir())) == SUBMAPS
+    assert not old.exists()
+    assert new.exists()
+    assert len(intact(survey)) == SUBMAPS
 
 
 def test_a_full_disk_keeps_what_was_finished_and_says_so(survey: Path, monkeypatch: pytest.MonkeyPatch):
@@ -167,24 +172,37 @@ def test_a_survey_without_submaps_is_refused(tmp_path: Path):
 
 
 def test_numbers_that_are_not_finite_are_kept(tmp_path: Path):
-    label = monte_carlo.Label({"a": np.float64(np.inf), "b": np.int32(2)}, np.full((3, 2), np.nan), np.zeros((0, 2)))
+    row = dict.fromkeys(monte_carlo.LABELS.names, 0.5) | {"relative_error": np.float64(np.inf), "runs": np.int32(3)}
+    label = monte_carlo.Label(row, np.full((3, 2), np.nan), np.zeros((0, 2)))
     shards.write(tmp_path / "x.npz", label)
     found = shards.read(tmp_path / "x.npz")
     assert found is not None
-    assert found.row == {"a": np.inf, "b": 2}
+    assert found.row == row
     assert np.isnan(found.errors).all()
     assert found.held_out.shape == (0, 2)
 
 
+@pytest.mark.parametrize("spoiled", [{"row": {}}, {"errors": np.zeros((1, 2))}, {"held_out": np.zeros(4)}])
+def test_a_file_of_the_right_name_that_holds_no_whole_label_is_not_believed(survey: Path, spoiled: dict[str, object]):
+    expected, _ = shards.labels(job(survey))
+    path = survey / "shards" / min(intact(survey))
+    label = shards.read(path)
+    assert label is not None
+    shards.write(path, dataclasses.replace(label, **spoiled))
+    again, made = shards.labels(job(survey))
+    assert made == 1
+    assert all(map(same_label, expected, again))
+
+
 def version_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setattr(shards, "__file__", str(folder / "shards.py"))
-    return shards.kernel_version.__wrapped__()
+    return shards.kernel_version.__wrapped__("cpu")
 
 
 def test_the_kernel_version_changes_with_the_code_and_not_with_line_ends_or_places(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    here = shards.kernel_version()
+    here = shards.kernel_version("cpu")
     copy = tmp_path / "elsewhere"
     shutil.copytree(SOURCE / "pointnetkl", copy, ignore=shutil.ignore_patterns("__pycache__"))
     assert version_of(copy, monkeypatch) == here
@@ -198,7 +216,7 @@ def test_the_kernel_version_changes_with_the_code_and_not_with_line_ends_or_plac
             file.write("# changed\n")
         assert version_of(copy, monkeypatch) != here
         shutil.copy(SOURCE / "pointnetkl" / name, copy / name)
-    monkeypatch.setattr(np, "__version__", "0.0")
+    monkeypatch.setattr(shards, "_version", lambda library: "0.0")
     assert version_of(copy, monkeypatch) != here
 
 

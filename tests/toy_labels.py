@@ -55,7 +55,7 @@ def change(folder: Path, section: str, **values: object) -> None:
 def job(folder: Path, runs: int = 20, settings: monte_carlo.Settings = SETTINGS) -> shards.Job:
     """Return the job that the stage does on a written survey."""
     return shards.Job(
-        "toy", folder / "submaps.parquet", folder / "shards", runs, settings, REGISTRATION, shards.kernel_version()
+        "toy", folder / "submaps.parquet", folder / "shards", runs, settings, REGISTRATION, shards.kernel_version("cpu")
     )
 
 

@@ -5,6 +5,7 @@ import functools
 import io
 import json
 import os
+import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     Raises:
         ArtifactError: the file cannot be written; what stood there before still does.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")  # machines may share the folder
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(content)

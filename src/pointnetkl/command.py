@@ -21,3 +21,6 @@ def run(main: Callable[[argparse.Namespace], None], arguments: argparse.Argument
         main(arguments.parse_args())
     except PointNetKLError as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)  # as a shell counts it

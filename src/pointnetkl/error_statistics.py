@@ -2,8 +2,11 @@
 
 import numpy as np
 
+_SINGULAR = 1e-12  # determinant of a correlation that rounding alone may give errors on a line
 _DIRECTIONS = 90  # in which a variance's error is looked at: it is smooth between them
-_SMALLEST_BASIN_M = 0.05  # registrations closer than this are in one basin, however tight the rest
+_SMALLEST_SIGMA_M = (
+    0.05  # of a basin, which reaches three of these: registrations nearer are in it, however tight the rest
+)
 
 
 def standard_errors(errors: np.ndarray) -> np.ndarray:
@@ -18,10 +21,10 @@ def relative_error(errors: np.ndarray) -> float:
     By fourth moments of w = u^T e: sqrt((E w^4 / (E w^2)^2 - 1) / L) (Cramér 1946, 27.4), so sqrt(2 / L) for Gaussian
     errors. No linear change of coordinates changes it. Infinite where the errors (L, 2) lie on a line.
     """
-    try:
-        whitened = np.linalg.solve(np.linalg.cholesky(errors.T @ errors / len(errors)), errors.T)
-    except np.linalg.LinAlgError:
+    q = errors.T @ errors / len(errors)
+    if np.linalg.det(q) <= _SINGULAR * np.prod(np.diag(q)):
         return float("inf")
+    whitened = np.linalg.solve(np.linalg.cholesky(q), errors.T)
     x, y = whitened
     products = np.stack([x * x, x * y, y * y])
     angle = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
@@ -42,5 +45,5 @@ def main_basin_share(errors: np.ndarray) -> float:
     ordered, half = np.sort(along, axis=0), len(along) // 2
     starts = np.argmin(ordered[half:] - ordered[: len(along) - half], axis=0)
     low, high = ordered[starts, (0, 1)], ordered[starts + half, (0, 1)]
-    sigma = np.maximum((high - low) / (2 * 0.6745), _SMALLEST_BASIN_M)  # 0.6745: a Gaussian's upper quartile
+    sigma = np.maximum((high - low) / (2 * 0.6745), _SMALLEST_SIGMA_M)  # 0.6745: a Gaussian's upper quartile
     return float(np.mean(np.linalg.norm((along - (low + high) / 2) / sigma, axis=1) <= 3))

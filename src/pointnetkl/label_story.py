@@ -15,8 +15,8 @@ def section(shown: Mapping[str, Sequence[Block]]) -> Section:
         "What a label depends on",
         (
             "Labels of a few submaps of each test survey, from flat to rugged, under other choices than the label"
-            " stage's. All of one submap have the same draws of starts and noise, so that two labels differ by what"
-            " was changed.",
+            " stage's. All of one submap start from the same draws, and under another sigma have the same noise,"
+            " scaled; other points have other noise.",
             "Runs: a label is an estimate. Many registrations of one submap were taken apart into parts of L; the"
             " table and the first figure tell how far a part's label is from that of all: the error of the variance"
             " along the label's axes (root mean square, as a share), and KL(label || label of L)."
@@ -24,9 +24,10 @@ def section(shown: Mapping[str, Sequence[Block]]) -> Section:
             "Spacing: the same submaps, thinned to coarser cells. Right of the dotted line points lie farther apart"
             " than the starts spread: there the copy of `same` can register to itself, and on flat ground its label"
             " then falls by orders of magnitude and tells nothing of the seabed. The clouds of `split` share no point.",
-            "Noise: sigma of the noise on each coordinate of the copy, which the paper does not give. Where an"
-            " eigenvalue grows as the second power of sigma, the noise alone makes it, and the label says what was"
-            f" put in; where the power is 0, any noise would do.{_noise(noise)}",
+            "Noise: sigma of the noise on each coordinate of the copy, which the paper does not give. The"
+            " power with which an eigenvalue grows is taken between the smallest sigma above 0 and the largest: about 2"
+            " says that the noise alone makes it, and the label tells what was put in; about 0, that any noise would"
+            f" do; between, that noise takes over somewhere on the way.{_noise(noise)}",
         ),
         [*shown["label_accuracy"], *shown["label_noise"]],
         {

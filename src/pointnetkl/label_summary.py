@@ -38,7 +38,7 @@ def quality(labels: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float) -> list[str]:
+def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float, target: float | None = None) -> list[str]:
     """Return what to print of a survey's labels (monte_carlo.LABELS): eigenvalue quantiles and warnings."""
     smaller, larger = np.linalg.eigvalsh(table.to_matrices(labels)).T
     percent = " ".join(f"{100 * share:8.0f}%" for share in paper.QUANTILES)
@@ -51,7 +51,7 @@ def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float) -> list[str]:
     if known is not None:
         # a loose guide, never a goal: those predictions were 1.06 and 1.99 nats off
         text += [_line(f"  {name}, authors' network", v) for name, v in paper.EIGENVALUES[known].items()]
-    return text + _quality(labels) + _warning(survey, labels, prior_sigma_m)
+    return text + _quality(labels) + _target(labels, target) + _warnings(survey, labels, prior_sigma_m)
 
 
 def _line(name: str, quantiles: np.ndarray | tuple[float, ...]) -> str:
@@ -68,11 +68,26 @@ def _quality(labels: pd.DataFrame) -> list[str]:
     ]
 
 
-def _warning(survey: str, labels: pd.DataFrame, prior_sigma_m: float) -> list[str]:
-    if not (count := int(labels["self_matching"].sum())):
+def _target(labels: pd.DataFrame, target: float | None) -> list[str]:
+    if target is None:
         return []
-    return [
-        f"WARNING: {survey} is self-matching in {count} of {len(labels)} submaps: spacing"
-        f" {labels['spacing_m'].median():.1f} m exceeds the prior's sigma {prior_sigma_m:g} m, so the copy can"
-        " register to itself; use label.copy: split"
-    ]
+    met = int((labels["relative_error"] <= target).sum())
+    return [f"target of a relative standard error of {target:g} met in {met} of {len(labels)} submaps"]
+
+
+def _warnings(survey: str, labels: pd.DataFrame, prior_sigma_m: float) -> list[str]:
+    alike, lost = labels[labels["self_matching"]], labels[labels["converged_share"] < 0.5]
+    text = []
+    if len(alike):
+        text.append(
+            f"WARNING: {survey} is self-matching in {len(alike)} of {len(labels)} submaps: spacing"
+            f" {alike['spacing_m'].median():.1f} m exceeds the prior's sigma {prior_sigma_m:g} m, so"
+            " the copy can register to itself; use label.copy: split"
+        )
+    if len(lost):
+        text.append(
+            f"WARNING: {survey} has {len(lost)} of {len(labels)} submaps on which under half of the registrations"
+            " converged: such a label tells more of where they started or stopped than of the ground; see"
+            " registration.max_iterations, max_distance_m and plane_epsilon"
+        )
+    return text

@@ -1,6 +1,7 @@
 """How a label depends on what the paper leaves open: the number of runs, the point spacing, the noise of the copy.
 
-Every label of a submap here has the same draws, so that two of them differ by what was varied and not by chance.
+Every label of a submap here starts from the same draws, and labels of the same points have the same noise, scaled:
+they differ by what was varied and hardly by chance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ import pyarrow as pa
 from scipy.spatial import cKDTree
 
 from pointnetkl import gicp, monte_carlo, spacing, submap
+from pointnetkl.errors import PointNetKLError
 from pointnetkl.monte_carlo import Outcome
 from pointnetkl.settings import require_positive, require_seed
 from pointnetkl.submap import Submap
@@ -36,6 +38,10 @@ VARIATIONS = pa.schema(
     ]
 )
 _REPEATS = 100  # parts of one size at most: their mean is known to a tenth of their spread
+
+
+class SensitivityError(PointNetKLError):
+    """A label cannot be varied."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,8 @@ class Settings:
         for name in ("runs", "compared_runs"):
             if getattr(self, name) < 3:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be 3 or above: fewer make a singular label")
+        if 3 * min(self.run_counts) > self.runs:
+            raise ValueError(f"run_counts is {self.run_counts}, one must be a third of runs ({self.runs}) at most")
 
 
 @dataclass(frozen=True)
@@ -118,12 +126,16 @@ def rows(
     """Return a case's rows of VARIATIONS; `path` is the survey's file of POINTS, thinned to cells of `cell_m`.
 
     Raises:
-        GicpError: a cloud cannot be registered.
+        SensitivityError: a cloud cannot be registered.
     """
     one = thinned(submap.read(survey, path, case.submap), case.thinning, cell_m, settings.seed)
     how = replace(label, seed=settings.seed, copy=case.copy, noise_sigma_m=case.noise_sigma_m)
     rng = monte_carlo.generator(how, one, monte_carlo.LABEL)
-    outcome = monte_carlo.errors(one, case.runs, rng, how, registration)
+    try:
+        outcome = monte_carlo.errors(one, case.runs, rng, how, registration)
+    except gicp.GicpError as error:
+        where = f"submap {case.submap} of {survey}, thinned to {case.thinning * cell_m:g} m, copy {case.copy}"
+        raise SensitivityError(f"{where}: {error}") from error
     onto = one.points if case.copy == "same" else one.first
     described = {
         "survey": survey,

@@ -1,24 +1,28 @@
 """Labels kept as they are made, a file each, named by all that decides them: a killed run resumes where it was."""
 
+import contextlib
 import functools
 import hashlib
+import importlib.metadata
 import json
 import socket
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-import scipy
 
 from pointnetkl import artifacts, compute, gicp, monte_carlo, settings, submap
 from pointnetkl.artifacts import ArtifactError
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.monte_carlo import Label
+from pointnetkl.gicp import GicpError
+from pointnetkl.monte_carlo import Label, MonteCarloError
 from pointnetkl.submap import Submap
 
 SOURCES = ("gicp/*.py", "error_statistics.py", "monte_carlo.py")  # the modules whose code decides a label
+LIBRARIES = {"cpu": ("numpy", "scipy", "numba", "llvmlite"), "cuda": ("numpy", "scipy", "numba", "numba-cuda")}
+_ABANDONED_S = 3600.0  # no file is written for an hour
 
 
 class ShardError(PointNetKLError):
@@ -26,12 +30,12 @@ class ShardError(PointNetKLError):
 
 
 @functools.cache
-def kernel_version() -> str:
-    """Return a hash of the code that decides a label: nobody has to remember to raise a number."""
+def kernel_version(engine: str) -> str:
+    """Return a hash of the code that decides an engine's labels: nobody has to remember to raise a number."""
     folder = Path(__file__).parent
     # text, so that line ends do not count; and the libraries that draw, search and compile
     sources = {str(f.relative_to(folder)): f.read_text("utf-8") for s in SOURCES for f in sorted(folder.glob(s))}
-    return _hash({"sources": sources, "libraries": [np.__version__, scipy.__version__, numba.__version__]})
+    return _hash({"sources": sources, "libraries": [_version(name) for name in LIBRARIES[engine]]})
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def make(job: Job, item: tuple[int, str]) -> None:
         ShardError: the label cannot be kept, or would not be the one that was asked for.
     """
     number, name = item
-    if kernel_version() != job.kernel:
+    if kernel_version(job.settings.engine) != job.kernel:
         raise ShardError(
             f"{socket.gethostname()}: a worker there has another version of pointnetkl, NumPy, SciPy or Numba than the"
             " stage; install the same in both places and start the workers again"
@@ -94,8 +98,13 @@ def make(job: Job, item: tuple[int, str]) -> None:
     one = submap.read(job.survey, job.submaps, number)
     if (path := job.path(one)).name != name:
         raise ShardError(f"{job.submaps}: submap {number} has changed since the stage began; run it again")
-    if not read(path):
-        write(path, monte_carlo.label(one, job.runs, job.settings, job.registration))
+    if read(path):
+        return
+    try:
+        label = monte_carlo.label(one, job.runs, job.settings, job.registration)
+    except (GicpError, MonteCarloError) as error:
+        raise ShardError(f"{job.submaps}: submap {number} of {job.survey}: {error}") from error
+    write(path, label)
 
 
 def write(path: Path, label: Label) -> None:
@@ -113,24 +122,36 @@ def write(path: Path, label: Label) -> None:
 
 
 def read(path: Path) -> Label | None:
-    """Return a label that was kept, its errors in float32; None where it is missing or damaged."""
+    """Return a label that was kept, its errors in float32; None where it is missing, damaged or not a whole label."""
     try:
         arrays, metadata = artifacts.read_arrays(path)
-        return Label(metadata["row"], arrays["errors"], arrays["held_out"]) if metadata["name"] == path.name else None
-    except (ArtifactError, KeyError):
+        label = Label(metadata["row"], arrays["errors"], arrays["held_out"])
+        known = metadata["name"] == path.name and set(label.row) == set(monte_carlo.LABELS.names)
+        whole = label.errors.shape == (label.row["runs"], 2) and label.held_out.shape[1:] == (2,)
+        return label if known and whole else None
+    except (ArtifactError, KeyError, TypeError):
         return None
 
 
 def sweep(folder: Path) -> None:
-    """Delete what killed writers left half written."""
+    """Delete what killed writers left half written, long ago: others may be writing now."""
     for partial in folder.glob(".*.partial"):
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - partial.stat().st_mtime > _ABANDONED_S:
+                partial.unlink()
 
 
 def _made(path: Path) -> Label:
     if (label := read(path)) is None:
         raise ShardError(f"{path}: was made and is gone or damaged; is its folder seen by the workers? Run it again")
     return label
+
+
+def _version(library: str) -> str | None:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _hash(content: Any) -> str:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from pointnetkl import settings
 
+_MOST_RUNS = 1_000_000  # of a label: their errors are held at once
+
 
 @dataclass(frozen=True)
 class StudySurvey:
@@ -23,6 +25,8 @@ class StudySurvey:
     def __post_init__(self) -> None:
         """Refuse what no submap can be cut by."""
         settings.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
+        if self.label_runs > _MOST_RUNS:
+            raise ValueError(f"label_runs is {self.label_runs}, must be at most {_MOST_RUNS}")
         if self.submap_length_m < 2 * self.point_spacing_m:
             raise ValueError(
                 f"submap_length_m is {self.submap_length_m:g}, must be at least twice point_spacing_m,"

@@ -95,5 +95,7 @@ def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:
 
 
 def _submap(survey: str, number: int, rows: pd.DataFrame) -> Submap:
+    if number < 0:
+        raise SubmapError(f"{survey}: submap {number} has a number below 0; run dvc repro segment@{survey}")
     xyz, part = rows[["x_m", "y_m", "z_m"]].to_numpy(np.float64), rows["part"].to_numpy()
     return Submap(survey, number, xyz[part == WHOLE], xyz[part == FIRST], xyz[part == SECOND])

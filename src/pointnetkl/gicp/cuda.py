@@ -8,7 +8,7 @@ import numpy as np
 from numba import cuda
 from numba.core import config
 
-from pointnetkl.gicp import cuda_kernel, cuda_matching, kernel, matching
+from pointnetkl.gicp import cuda_kernel, cuda_matching, kernel, matching, weights
 from pointnetkl.gicp.noise import Noise
 from pointnetkl.gicp.registration import Cloud, GicpError, Registrations
 
@@ -45,8 +45,8 @@ def require_gpu() -> None:
     """
     if not cuda.is_available() or (cuda.implementation == "Built-in" and not config.ENABLE_CUDASIM):
         raise GicpError(
-            "the engine cuda needs an NVIDIA GPU with its driver, and numba-cuda (pip install 'pointnetkl[cuda]');"
-            " at least one is missing here: install it, or choose the engine cpu"
+            "the engine cuda needs an NVIDIA GPU with its driver, and numba-cuda (pip install -e '.[cuda]', or"
+            " '.[cuda12]'); at least one is missing here: install it, or choose the engine cpu"
         )
 
 
@@ -124,7 +124,7 @@ def _room(lane: Lane, n: int, runs: int) -> cuda_kernel.Room:
     shapes: dict[str, tuple[int, ...]] = {
         "points": (3, n),
         "normals": (3, n),
-        "terms": (cuda_kernel.TERMS, n),
+        "terms": (weights.TERMS, n),
         "matches": (n,),
         "deadlines": (whole,),
         "stale": (2, n),

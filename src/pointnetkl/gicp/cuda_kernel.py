@@ -13,11 +13,10 @@ import numpy as np
 from numba import cuda, float64
 from numba.core import config
 
-from pointnetkl.gicp import cuda_matching, kernel, noise, normals
+from pointnetkl.gicp import cuda_matching, noise, normals, weights
 from pointnetkl.gicp.device import device
 
 _f32, _at = np.float32, np.uint64
-TERMS = 5
 _NEVER = _f32(1e30)  # metres
 # Six blocks' registers on a multiprocessor: what is spilled is used once in an iteration. The simulator has none.
 _OPTIONS = {"fastmath": True} | ({} if config.ENABLE_CUDASIM else {"max_registers": 80})
@@ -72,7 +71,7 @@ def register_noisy(source, target, moves, draws, limits, room, found):  # type: 
 
 def shared_bytes(threads: int) -> int:
     """Return how much shared memory a block of so many threads takes."""
-    return 8 * TERMS * (threads + 1)
+    return 8 * weights.TERMS * (threads + 1)
 
 
 @cuda.jit(device=True)
@@ -102,7 +101,7 @@ def _make_copy(source, by_x, by_y, draws, run, own):  # type: ignore[no-untyped-
         py[i] = source.points[1, i] + sigma * y + by_y
         pz[i] = source.points[2, i] + sigma * z
         own.matches[i] = -1
-        for term in range(TERMS):
+        for term in range(weights.TERMS):
             own.terms[term, i] = 0
     cuda.syncthreads()
     for point in range(thread, n, threads):
@@ -139,7 +138,7 @@ def _align(own, target, limits, shared):  # type: ignore[no-untyped-def]
         sums = _add_to_sums(_rematch(own, target, limits, count, x, y, _f32(way)), shared)
         if sums[0] < 0.25:  # M is at least I / 2 for every match: there is none
             return 0.0, 0.0, iterations, False
-        to_x, to_y = kernel._solve(sums)
+        to_x, to_y = weights.solve(sums)
         step = math.sqrt((to_x - x) ** 2 + (to_y - y) ** 2)
         x, y, way = to_x, to_y, way + step
         iterations += 1
@@ -214,7 +213,7 @@ def _rematch(own, target, limits, count, x, y, way):  # type: ignore[no-untyped-
 def _weigh(px, py, pz, ax, ay, az, target, match, limits):  # type: ignore[no-untyped-def]
     xx = xy = yy = gx = gy = _f32(0)
     if match >= 0:
-        xx, xy, yy, gx, gy = kernel.weigh(
+        xx, xy, yy, gx, gy = weights.weigh(
             px, py, pz, ax, ay, az, target.points, target.normals, _at(3) * _at(match), limits.epsilon
         )
     return xx, xy, yy, gx, gy
@@ -223,24 +222,24 @@ def _weigh(px, py, pz, ax, ay, az, target, match, limits):  # type: ignore[no-un
 @cuda.jit(device=True)
 def _clear_sums(shared):  # type: ignore[no-untyped-def]
     # M_xx, M_xy, M_yy, (M d)_x, (M d)_y stand behind what the threads have of the shared memory
-    if cuda.threadIdx.x < TERMS:
-        shared[TERMS * cuda.blockDim.x + cuda.threadIdx.x] = 0
+    if cuda.threadIdx.x < weights.TERMS:
+        shared[weights.TERMS * cuda.blockDim.x + cuda.threadIdx.x] = 0
     cuda.syncthreads()
 
 
 @cuda.jit(device=True)
 def _add_to_sums(changes, shared):  # type: ignore[no-untyped-def]
-    thread, half, kept = cuda.threadIdx.x, cuda.blockDim.x // 2, TERMS * cuda.blockDim.x
-    at = TERMS * thread
+    thread, half, kept = cuda.threadIdx.x, cuda.blockDim.x // 2, weights.TERMS * cuda.blockDim.x
+    at = weights.TERMS * thread
     shared[at], shared[at + 1], shared[at + 2], shared[at + 3], shared[at + 4] = changes
     cuda.syncthreads()
     while half > 0:
         if thread < half:
-            for term in range(TERMS):
-                shared[at + term] += shared[at + TERMS * half + term]
+            for term in range(weights.TERMS):
+                shared[at + term] += shared[at + weights.TERMS * half + term]
         cuda.syncthreads()
         half //= 2
-    if thread < TERMS:
+    if thread < weights.TERMS:
         shared[kept + thread] += shared[thread]
     cuda.syncthreads()
     return shared[kept], shared[kept + 1], shared[kept + 2], shared[kept + 3], shared[kept + 4]

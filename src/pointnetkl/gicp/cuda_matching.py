@@ -14,9 +14,6 @@ from pointnetkl.gicp.device import device
 
 _f32, _i32, _at = np.float32, np.int32, np.uint64
 _TILE = 32  # cells, a power of two, whose candidates stand interleaved
-_NONE = _i32(0x7FFFFFFF)
-_RANK = _i32(matching.CANDIDATES - 1)
-_FAR_M = _f32(1e15)
 
 
 def interleaved(target: matching.Target) -> matching.Target:
@@ -26,7 +23,7 @@ def interleaved(target: matching.Target) -> matching.Target:
     cells each, (tiles, 16, 32), flat, where the far point stands for a missing one.
     """
     n = len(target.points) // 3
-    points = np.full((3, n + 1), _FAR_M, np.float32)
+    points = np.full((3, n + 1), matching.FAR_M, np.float32)
     points[:, :n] = target.points.reshape(n, 3).T
     numbers = np.sort(np.where(target.numbers < 0, n, target.numbers).reshape(-1, matching.CANDIDATES), axis=1)
     cells = np.zeros((-(-len(numbers) // _TILE) * _TILE, matching.CANDIDATES), np.uint32)
@@ -44,8 +41,8 @@ def nearest(x, y, z, to, farthest):  # type: ignore[no-untyped-def]
     cell = _at(column * to.rows + row)
     start = (cell // _at(_TILE)) * _at(matching.CANDIDATES * _TILE) + cell % _at(_TILE)
     first, second = _least_two(x, y, z, to.candidates, to.numbers, start)
-    near = to.numbers[start + _at(first & _RANK) * _at(_TILE)]
-    near_m, other_m = matching._distance(first), matching._distance(second)
+    near = to.numbers[start + _at(first & matching.RANK) * _at(_TILE)]
+    near_m, other_m = matching.distance(first), matching.distance(second)
     dx = x - (to.x0 + (_f32(column) + _f32(0.5)) * to.cell)
     dy = y - (to.y0 + (_f32(row) + _f32(0.5)) * to.cell)
     if other_m + math.sqrt(dx * dx + dy * dy) > to.reach[cell]:
@@ -59,14 +56,14 @@ def nearest(x, y, z, to, farthest):  # type: ignore[no-untyped-def]
 @device
 def _least_two(x, y, z, points, numbers, start):  # type: ignore[no-untyped-def]
     # matching's keys, each made once
-    first = second = _NONE
+    first = second = matching.NONE
     size = _at(len(points)) // _at(3)
     rank = _i32(0)
     while rank < matching.CANDIDATES:  # unlike a range, unrolled
         j = _at(numbers[start + _at(rank) * _at(_TILE)])
         dx, dy, dz = points[j] - x, points[size + j] - y, points[size + size + j] - z
         square = _f32(dx * dx + dy * dy + dz * dz)
-        key = _i32((square.view(np.int32) & ~_RANK) | rank)
+        key = _i32((square.view(np.int32) & ~matching.RANK) | rank)
         second = _i32(min(second, max(first, key)))
         first = _i32(min(first, key))
         rank = _i32(rank + 1)

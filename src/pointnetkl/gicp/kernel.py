@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointnetkl.gicp import matching, noise, normals
+from pointnetkl.gicp import matching, noise, normals, turning, weights
 from pointnetkl.gicp.device import device, kernel
 
 _f32, _at = np.float32, np.uint64
-_TERMS = 5
 
 
 class Source(NamedTuple):
@@ -71,7 +70,7 @@ def register_noisy(source, target, moves, draws, limits):  # type: ignore[no-unt
     motions, iterations, converged = np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.bool_)
     state, shaken = _state(n), np.empty((3, n), np.float32)
     state.normals[: 3 * n] = source.normals[: 3 * n]
-    rows, sums = np.empty(16 * n, np.float32), np.empty_like(source.neighbourhoods)
+    rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(source.neighbourhoods)
     first, low, high, sigma = draws
     for b in range(count):
         noise.fill(shaken[0], shaken[1], shaken[2], first + b, low, high, sigma)
@@ -91,7 +90,7 @@ def _state(n):  # type: ignore[no-untyped-def]
         np.empty(3 * (n + normals.LANES), np.float32),
         np.empty(n, np.int32),
         np.empty(n, np.float32),
-        np.empty(_TERMS * n, np.float32),
+        np.empty(weights.TERMS * n, np.float32),
         np.empty(n, np.int32),
     )
 
@@ -109,7 +108,7 @@ def _align(state, target, limits):  # type: ignore[no-untyped-def]
     state.matches[:], state.deadlines[:], state.terms[:] = -1, -1, 0
     sums = np.zeros(9)  # M_xx, M_xy, M_yy, (M d)_x, (M d)_y; and with yaw: M_x,yaw, M_y,yaw, M_yaw,yaw, (J^T M d)_yaw
     x, y, yaw, way, turned = 0.0, 0.0, 0.0, 0.0, 0.0
-    lever = _lever(state.points[0], state.points[1])
+    lever = turning.lever(state.points[0], state.points[1])
     iterations, matched, converged = 0, 0, False
     while iterations < limits.iterations and not converged:
         if not limits.keep:
@@ -118,25 +117,16 @@ def _align(state, target, limits):  # type: ignore[no-untyped-def]
         if matched == 0:
             return (0.0, 0.0, 0.0), np.zeros(9), iterations, False, 0
         if limits.yaw:
-            _sum_with_yaw(state, target, limits.epsilon, sums, x, y, yaw)
-            step_x, step_y, turn = _solve_with_yaw(sums)
+            turning.fill_sums(state, target, limits.epsilon, sums, x, y, yaw)
+            step_x, step_y, turn = turning.solve(sums)
         else:
-            to_x, to_y = _solve(sums)
+            to_x, to_y = weights.solve(sums)
             step_x, step_y, turn = to_x - x, to_y - y, 0.0
         step = math.hypot(step_x, step_y)
         x, y, yaw, way, turned = x + step_x, y + step_y, yaw + turn, way + step, turned + abs(turn)
         iterations += 1
         converged = step < limits.tolerance and abs(turn) * lever < limits.tolerance
     return (x, y, yaw), sums, iterations, converged, matched
-
-
-@device
-def _lever(x, y):  # type: ignore[no-untyped-def]
-    # how far a typical point moves when the cloud turns by a radian, metres
-    total = 0.0
-    for i in range(len(x)):
-        total += x[i] * x[i] + y[i] * y[i]
-    return math.sqrt(total / len(x))
 
 
 @kernel
@@ -204,82 +194,17 @@ def _exchange(px, py, pz, normals, matches, changed, points, target_normals, eps
     s0, s1, s2, s3, s4 = sums[0], sums[1], sums[2], sums[3], sums[4]
     for c in range(len(changed)):
         i = _at(changed[_at(c)])
-        n, t = _at(3) * i, _at(_TERMS) * i
+        n, t = _at(3) * i, _at(weights.TERMS) * i
         matched = _f32(matches[i] >= 0)
-        xx, xy, yy, gx, gy = weigh(
+        xx, xy, yy, gx, gy = weights.weigh(
             px[i], py[i], pz[i], normals[n], normals[n + _at(1)], normals[n + _at(2)],
             points, target_normals, _at(3) * _at(max(matches[i], 0)), epsilon,
         )  # fmt: skip
         xx, xy, yy, gx, gy = matched * xx, matched * xy, matched * yy, matched * gx, matched * gy
-        s0 += xx - terms[t]
-        s1 += xy - terms[t + _at(1)]
-        s2 += yy - terms[t + _at(2)]
-        s3 += gx - terms[t + _at(3)]
-        s4 += gy - terms[t + _at(4)]
+        s0 += np.float64(xx) - np.float64(terms[t])
+        s1 += np.float64(xy) - np.float64(terms[t + _at(1)])
+        s2 += np.float64(yy) - np.float64(terms[t + _at(2)])
+        s3 += np.float64(gx) - np.float64(terms[t + _at(3)])
+        s4 += np.float64(gy) - np.float64(terms[t + _at(4)])
         terms[t], terms[t + _at(1)], terms[t + _at(2)], terms[t + _at(3)], terms[t + _at(4)] = xx, xy, yy, gx, gy
     sums[0], sums[1], sums[2], sums[3], sums[4] = s0, s1, s2, s3, s4
-
-
-@device
-def weigh(px, py, pz, ax, ay, az, points, normals, j, epsilon):  # type: ignore[no-untyped-def]
-    """Return M_xx, M_xy, M_yy, (M d)_x, (M d)_y of a point, its normal and its match at j, 3 times its number.
-
-    d is from the point to its match, of points (3 n,) and normals (3 n,).
-    M = (2 I - w (a a^T + b b^T))^-1 with w = 1 - epsilon, by Woodbury: I / 2 + [a b] S [a b]^T with
-    S = [[same, cross], [cross, same]].
-    """
-    half = _f32(0.5)
-    bx, by, bz = normals[j], normals[j + _at(1)], normals[j + _at(2)]
-    dx, dy, dz = points[j] - px, points[j + _at(1)] - py, points[j + _at(2)] - pz
-    w, m = _f32(1) - epsilon, _f32(1) + epsilon
-    c = w * (ax * bx + ay * by + az * bz)
-    scale = half * w / (m * m - c * c)
-    same, cross = m * scale, c * scale
-    along_a, along_b = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
-    u, v = same * along_a + cross * along_b, cross * along_a + same * along_b
-    xx = half + same * (ax * ax + bx * bx) + (cross + cross) * ax * bx
-    xy = same * (ax * ay + bx * by) + cross * (ax * by + ay * bx)
-    yy = half + same * (ay * ay + by * by) + (cross + cross) * ay * by
-    return _f32(xx), _f32(xy), _f32(yy), half * dx + ax * u + bx * v, half * dy + ay * u + by * v
-
-
-@device
-def _solve(sums):  # type: ignore[no-untyped-def]
-    # M is at least I / 2 for every match, so with any match at all the determinant is positive
-    xx, xy, yy, gx, gy = sums[0], sums[1], sums[2], sums[3], sums[4]
-    determinant = xx * yy - xy * xy
-    return (yy * gx - xy * gy) / determinant, (xx * gy - xy * gx) / determinant
-
-
-@kernel
-def _sum_with_yaw(state, target, epsilon, sums, x, y, yaw):  # type: ignore[no-untyped-def]
-    # The source's normals turn with it, so M changes at every step: all the sums are made anew, of the moved source.
-    px, py, pz, n = state.points[0], state.points[1], state.points[2], state.normals
-    cosine, sine, tx, ty = _f32(math.cos(yaw)), _f32(math.sin(yaw)), _f32(x), _f32(y)
-    sums[:] = 0
-    for i in range(len(px)):
-        if state.matches[i] >= 0:
-            rx, ry = cosine * px[i] - sine * py[i], sine * px[i] + cosine * py[i]
-            ax, ay = cosine * n[3 * i] - sine * n[3 * i + 1], sine * n[3 * i] + cosine * n[3 * i + 1]
-            xx, xy, yy, gx, gy = weigh(
-                rx + tx, ry + ty, pz[i], ax, ay, n[3 * i + 2],
-                target.points, target.normals, _at(3) * _at(state.matches[i]), epsilon,
-            )  # fmt: skip
-            # the column of yaw in the Jacobian is (-ry, rx)
-            x_yaw, y_yaw = xy * rx - xx * ry, yy * rx - xy * ry
-            for term, value in enumerate(
-                (xx, xy, yy, gx, gy, x_yaw, y_yaw, y_yaw * rx - x_yaw * ry, gy * rx - gx * ry)
-            ):
-                sums[term] += value
-
-
-@device
-def _solve_with_yaw(sums):  # type: ignore[no-untyped-def]
-    # by Schur: yaw first, then x and y given yaw; a cloud of one place cannot turn
-    xx, xy, yy, gx, gy, x_yaw, y_yaw, yaw_yaw, g_yaw = sums
-    determinant = xx * yy - xy * xy
-    ux, uy = (yy * x_yaw - xy * y_yaw) / determinant, (xx * y_yaw - xy * x_yaw) / determinant
-    left = yaw_yaw - ux * x_yaw - uy * y_yaw
-    turn = (g_yaw - ux * gx - uy * gy) / left if left > 1e-12 * yaw_yaw else 0.0
-    fx, fy = gx - turn * x_yaw, gy - turn * y_yaw
-    return (yy * fx - xy * fy) / determinant, (xx * fy - xy * fx) / determinant, turn

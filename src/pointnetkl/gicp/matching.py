@@ -10,9 +10,9 @@ from pointnetkl.gicp.neighbours import Grid
 
 _f32, _i32, _at = np.float32, np.int32, np.uint64
 CANDIDATES = 16  # of a cell: what one instruction compares
-_RANK = _i32(CANDIDATES - 1)  # the last bits of a key say which candidate
-_NONE = _i32(0x7FFFFFFF)
-_FAR_M = _f32(1e15)  # where a missing candidate stands: its square is still a number
+RANK = _i32(CANDIDATES - 1)  # the last bits of a key say which candidate
+NONE = _i32(0x7FFFFFFF)
+FAR_M = _f32(1e15)  # where a missing candidate stands: its square is still a number
 _WINDOW = 2  # columns and rows on each side of a cell that are searched for its candidates
 
 
@@ -36,7 +36,7 @@ class Target(NamedTuple):
 def target(points: np.ndarray, normals: np.ndarray, grid: Grid) -> Target:
     """Return points and normals (n, 3) float32, sorted by their grid, with the table of candidates of every cell."""
     cells = grid.columns * grid.rows
-    candidates = np.full((cells, 3, CANDIDATES), _FAR_M, np.float32)
+    candidates = np.full((cells, 3, CANDIDATES), FAR_M, np.float32)
     numbers = np.full((cells, CANDIDATES), -1, np.int32)
     reach = np.empty(cells, np.float32)
     flat = points.reshape(-1)
@@ -89,12 +89,12 @@ def look_up(x, y, z, to):  # type: ignore[no-untyped-def]
     row = min(max(int((y - to.y0) * inverse), 0), to.rows - 1)
     cell = column * to.rows + row
     first, second = _least_two(x, y, z, to.candidates, 3 * CANDIDATES * cell)
-    near_m, other_m = _distance(first), _distance(second)
+    near_m, other_m = distance(first), distance(second)
     dx = x - (to.x0 + (_f32(column) + _f32(0.5)) * to.cell)
     dy = y - (to.y0 + (_f32(row) + _f32(0.5)) * to.cell)
     return (
-        to.numbers[_at(CANDIDATES * cell + (first & _RANK))],
-        to.numbers[_at(CANDIDATES * cell + (second & _RANK))],
+        to.numbers[_at(CANDIDATES * cell + (first & RANK))],
+        to.numbers[_at(CANDIDATES * cell + (second & RANK))],
         near_m,
         other_m,
         other_m + math.sqrt(dx * dx + dy * dy) <= to.reach[_at(cell)],
@@ -104,13 +104,13 @@ def look_up(x, y, z, to):  # type: ignore[no-untyped-def]
 @device
 def _least_two(x, y, z, candidates, start):  # type: ignore[no-untyped-def]
     # a key is the squared distance, in whose last bits stands the candidate: their order is that of whole numbers
-    first = _NONE
+    first = NONE
     for rank in range(CANDIDATES):
         first = min(first, _key(x, y, z, candidates, start, rank))
-    second = _NONE
+    second = NONE
     for rank in range(CANDIDATES):
         key = _key(x, y, z, candidates, start, rank)
-        second = min(second, key if key != first else _NONE)
+        second = min(second, key if key != first else NONE)
     return first, second
 
 
@@ -120,12 +120,13 @@ def _key(x, y, z, candidates, start, rank):  # type: ignore[no-untyped-def]
     dy = candidates[_at(start + CANDIDATES + rank)] - y
     dz = candidates[_at(start + 2 * CANDIDATES + rank)] - z
     square = _f32(dx * dx + dy * dy + dz * dz)
-    return _i32((square.view(np.int32) & ~_RANK) | _i32(rank))
+    return _i32((square.view(np.int32) & ~RANK) | _i32(rank))
 
 
 @device
-def _distance(key):  # type: ignore[no-untyped-def]
-    return math.sqrt(_i32(key & ~_RANK).view(np.float32))
+def distance(key):  # type: ignore[no-untyped-def]
+    """Return the distance of a key of a candidate, metres."""
+    return math.sqrt(_i32(key & ~RANK).view(np.float32))
 
 
 @device

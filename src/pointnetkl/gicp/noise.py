@@ -20,8 +20,8 @@ class Noise:
     """Independent noise N(0, sigma_m^2) on every coordinate of every point of run `first` and those after it."""
 
     sigma_m: float
-    key: int  # of 64 bits: one for each submap and purpose
-    first: int = 0  # below 2^32, with all the runs that follow
+    key: int  # one for each submap and purpose; its last 64 bits count
+    first: int = 0
 
     def of_runs(self, count: int, points: int) -> np.ndarray:
         """Return the noise of `count` runs, (count, points, 3) float32 in metres."""
@@ -33,7 +33,7 @@ class Noise:
 
     def draws(self) -> tuple[int, np.uint32, np.uint32, np.float32]:
         """Return the first run, the key's lower and upper half, and sigma: what kernels take."""
-        return self.first, _u32(self.key & 0xFFFFFFFF), _u32(self.key >> 32), _f32(self.sigma_m)
+        return self.first, _u32(self.key & 0xFFFFFFFF), _u32(self.key >> 32 & 0xFFFFFFFF), _f32(self.sigma_m)
 
 
 @kernel
@@ -47,7 +47,7 @@ def fill(x, y, z, run, low, high, sigma):  # type: ignore[no-untyped-def]
 @device
 def normal3(point, run, low, high):  # type: ignore[no-untyped-def]
     """Return three standard normal numbers, float32, of a point in a run (Box and Muller 1958)."""
-    a, b, c, d = philox(_u32(point), _u32(run), _u32(0), _u32(0), low, high)
+    a, b, c, d = philox(_u32(point), _u32(run), _u32(run >> 32), _u32(0), low, high)
     radius = _radius(a)
     x, y = _direction(b)
     z, _ = _direction(d)

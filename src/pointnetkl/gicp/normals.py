@@ -8,7 +8,7 @@ from pointnetkl.gicp.device import device, kernel
 
 _f32, _at = np.float32, np.uint64  # an index without a sign needs no check for one
 _NINE = 9  # numbers of a neighbourhood: three of a mean, six of a scatter
-_ROW = 16  # floats from one point's nine to the next one's: a cache line
+ROW = 16  # floats from one point's nine to the next one's: a cache line
 LANES = 16  # points of a block: what one instruction handles
 _NEWTON_STEPS = 8
 
@@ -51,7 +51,7 @@ def of_copy(points, noise, clean, lists, rows, sums, normals):  # type: ignore[n
 @kernel
 def _fill_rows(x, y, z, ex, ey, ez, rows):  # type: ignore[no-untyped-def]
     for i in range(len(x)):
-        r = _at(_ROW * i)
+        r = _at(ROW * i)
         rows[r], rows[r + _at(1)], rows[r + _at(2)] = ex[i], ey[i], ez[i]
         xx, xy, xz, yy, yz, zz = growth(x[i], y[i], z[i], ex[i], ey[i], ez[i])
         rows[r + _at(3)], rows[r + _at(4)], rows[r + _at(5)] = xx, xy, xz
@@ -71,7 +71,7 @@ def _add_rows(rows, lists, sums):  # type: ignore[no-untyped-def]
     for i in range(n):
         a = b = c = d = e = f = g = h = last = _f32(0)
         for j in range(k):
-            r = _at(_ROW) * _at(lists[_at(i), _at(j)])
+            r = _at(ROW) * _at(lists[_at(i), _at(j)])
             a += rows[r]
             b += rows[r + _at(1)]
             c += rows[r + _at(2)]
@@ -82,8 +82,19 @@ def _add_rows(rows, lists, sums):  # type: ignore[no-untyped-def]
             h += rows[r + _at(7)]
             last += rows[r + _at(8)]
         s = _at((i // LANES * _NINE) * LANES + i % LANES)
-        sums[s], sums[s + _at(16)], sums[s + _at(32)], sums[s + _at(48)], sums[s + _at(64)] = a, b, c, d, e
-        sums[s + _at(80)], sums[s + _at(96)], sums[s + _at(112)], sums[s + _at(128)] = f, g, h, last
+        sums[s], sums[s + _at(LANES)], sums[s + _at(2 * LANES)], sums[s + _at(3 * LANES)], sums[s + _at(4 * LANES)] = (
+            a,
+            b,
+            c,
+            d,
+            e,
+        )
+        sums[s + _at(5 * LANES)], sums[s + _at(6 * LANES)], sums[s + _at(7 * LANES)], sums[s + _at(8 * LANES)] = (
+            f,
+            g,
+            h,
+            last,
+        )
 
 
 @kernel
@@ -92,16 +103,16 @@ def _finish(clean, sums, share, normals):  # type: ignore[no-untyped-def]
         for lane in range(LANES):
             i = _at(block * _NINE * LANES + lane)
             o = _at(3 * (block * LANES + lane))
-            mx, my, mz = clean[i], clean[i + _at(16)], clean[i + _at(32)]
-            sx, sy, sz = sums[i], sums[i + _at(16)], sums[i + _at(32)]
+            mx, my, mz = clean[i], clean[i + _at(LANES)], clean[i + _at(2 * LANES)]
+            sx, sy, sz = sums[i], sums[i + _at(LANES)], sums[i + _at(2 * LANES)]
             tx, ty, tz = mx + share * sx, my + share * sy, mz + share * sz
             normals[o], normals[o + _at(1)], normals[o + _at(2)] = normal(
-                clean[i + _at(48)] + sums[i + _at(48)] - mx * sx - tx * sx,
-                clean[i + _at(64)] + sums[i + _at(64)] - my * sx - tx * sy,
-                clean[i + _at(80)] + sums[i + _at(80)] - mz * sx - tx * sz,
-                clean[i + _at(96)] + sums[i + _at(96)] - my * sy - ty * sy,
-                clean[i + _at(112)] + sums[i + _at(112)] - mz * sy - ty * sz,
-                clean[i + _at(128)] + sums[i + _at(128)] - mz * sz - tz * sz,
+                clean[i + _at(3 * LANES)] + sums[i + _at(3 * LANES)] - mx * sx - tx * sx,
+                clean[i + _at(4 * LANES)] + sums[i + _at(4 * LANES)] - my * sx - tx * sy,
+                clean[i + _at(5 * LANES)] + sums[i + _at(5 * LANES)] - mz * sx - tx * sz,
+                clean[i + _at(6 * LANES)] + sums[i + _at(6 * LANES)] - my * sy - ty * sy,
+                clean[i + _at(7 * LANES)] + sums[i + _at(7 * LANES)] - mz * sy - ty * sz,
+                clean[i + _at(8 * LANES)] + sums[i + _at(8 * LANES)] - mz * sz - tz * sz,
             )
 
 

@@ -11,6 +11,8 @@ from pointnetkl.gicp import kernel, matching, neighbours, normals
 from pointnetkl.gicp.noise import Noise
 
 _LARGEST_M = 1e5  # float32 places a point within 4 mm up to here
+_LEAST_EPSILON = 1e-5
+_MOST_ITERATIONS = 100_000
 
 
 class GicpError(PointNetKLError):
@@ -33,11 +35,17 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        settings.require_positive(self, "plane_epsilon", "max_distance_m", "tolerance_m", "max_iterations")
+        settings.require_positive(self, "max_distance_m", "tolerance_m", "max_iterations")
         if self.neighbours < 3:
             raise ValueError(f"neighbours is {self.neighbours}, must be at least 3: fewer points have no plane")
-        if self.plane_epsilon > 1:
-            raise ValueError(f"plane_epsilon is {self.plane_epsilon:g}, must be at most 1, the variance in the plane")
+        if not _LEAST_EPSILON <= self.plane_epsilon <= 1:
+            raise ValueError(
+                f"plane_epsilon is {self.plane_epsilon:g}, must be {_LEAST_EPSILON:g} (less is lost in float32) to 1,"
+                " the variance in the plane"
+            )
+        for name, most in (("max_iterations", _MOST_ITERATIONS), ("max_distance_m", _LARGEST_M)):
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} is {getattr(self, name):g}, must be at most {most:g}")
 
 
 @dataclass(frozen=True)
