@@ -46,7 +46,7 @@ class LocalDask:
             process = subprocess.Popen(
                 [str(Path(sys.executable).with_name(program)), *arguments],
                 cwd=self.folder,
-                env=os.environ | environment,
+                env=os.environ | {"DASK_TEMPORARY_DIRECTORY": str(self.folder)} | environment,  # not in the system's
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
