@@ -1,8 +1,9 @@
 """What a second local worker gains: the label stage itself, on submaps of the paper's size, with one worker and two.
 
 Each repetition runs the stage's script twice, in turns, from its command line to its last line, on shards of its own.
-"start" is the same with 3 registrations a label: what a user waits for besides them, the workers' start among it. Efficiency is the time with
-one worker over `workers` times the time with that many; without start, both times are less that.
+"start" is the same with 3 registrations a label: what a user waits for besides them, the workers' start among it.
+Efficiency is the time with one worker over `workers` times the time with that many; without start, both times are less
+that.
 """
 
 import argparse
