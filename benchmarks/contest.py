@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ class Contest:
         with prepared:
             gicp.register_noisy(*arguments, recompute_normals=False)
         with with_yaw:
-            turned = gicp.register_noisy(*arguments, yaw=True)
+            turned = gicp.register_noisy(*arguments[:-1], replace(self._registration, dof="xyyaw"))
         with drawing:
             noise.of_runs(len(moves), len(self._points))
         self._errors["ours"].append(moves + found.translation)

@@ -107,7 +107,7 @@ def of_submap(bench: Bench, name: str, arguments: argparse.Namespace) -> Row:
 
 def kernel_alone(bench: Bench, name: str, arguments: argparse.Namespace) -> tuple[float, float]:
     """Return the seconds of one launch, the median of several, and the mean iterations of its runs."""
-    lane, cloud, limits = cuda.Lane(), bench.prepare(name), registration._limits(bench.registration, yaw=False)
+    lane, cloud, limits = cuda.Lane(), bench.prepare(name), registration._limits(bench.registration)
     moves, noise = bench.draws(name, arguments.launched)
     seconds = []
     for _ in range(arguments.repetitions + 1):  # the first compiles, and wakes the GPU up

@@ -13,12 +13,12 @@ def main(arguments: argparse.Namespace) -> None:
     label = settings.read(arguments.params, "label", monte_carlo.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
-    labels = artifacts.read_table(arguments.labels, monte_carlo.LABELS)
+    labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
     covariances = method.tabulate(estimated.methods(labels, chosen, label, registration), submaps)
     parameters = {"estimate": chosen, "label": label, "registration": registration}
     params = {section: settings.as_metadata(values) for section, values in parameters.items()}
     metadata = {"survey": arguments.survey, "params": params}
-    artifacts.write_table(arguments.covariances, covariances, table.SCHEMA, metadata)
+    artifacts.write_table(arguments.covariances, covariances, table.schema(registration.dimensions), metadata)
 
 
 if __name__ == "__main__":

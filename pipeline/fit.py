@@ -5,27 +5,32 @@ from pathlib import Path
 
 from pointnetkl import artifacts, command, gicp, monte_carlo, settings, study, submap
 from pointnetkl.covariance import fitting, learned
+from pointnetkl.covariance.self_registration import SelfRegistration
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
     chosen = settings.read(arguments.params, "fit", fitting.Settings)
+    label = settings.read(arguments.params, "label", monte_carlo.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
+    how = SelfRegistration(chosen.seed, label, registration)
     surveys = list(study.read(arguments.params).train)
-    fits = learned.fit(read_training(arguments.training, surveys, registration), chosen)
-    parameters = {"fit": settings.as_metadata(chosen), "registration": settings.as_metadata(registration)}
+    fits = learned.fit(read_training(arguments.training, surveys, how), chosen)
+    sections = {"fit": chosen, "label": label, "registration": registration}
+    parameters = {section: settings.as_metadata(values) for section, values in sections.items()}
     learned.write(arguments.fits, fits, {**parameters, "surveys": surveys})
     for name, each in fits.fits.items():
         numbers = ", ".join(f"{key} {value:.4g}" for key, value in each.numbers.items())
         print(f"{name}: {numbers}; mean KL {each.mean_kl:.4f} nats over {fits.submaps} training submaps")
 
 
-def read_training(folder: Path, surveys: list[str], registration: gicp.Settings) -> fitting.Training:
+def read_training(folder: Path, surveys: list[str], how: SelfRegistration) -> fitting.Training:
     """Read every training survey's submaps and labels; an error names the first file that is missing."""
     points = [artifacts.read_table(folder / name / "submaps.parquet", submap.POINTS) for name in surveys]
-    labels = [artifacts.read_table(folder / name / "labels.parquet", monte_carlo.LABELS) for name in surveys]
+    columns = monte_carlo.schema(how.registration.dimensions)
+    labels = [artifacts.read_table(folder / name / "labels.parquet", columns) for name in surveys]
     submaps = [submap.from_table(name, rows) for name, rows in zip(surveys, points, strict=True)]
-    return fitting.training(submaps, labels, registration)
+    return fitting.training(submaps, labels, how)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ def main(arguments: argparse.Namespace) -> None:
     registration = settings.read(arguments.params, "registration", gicp.Settings)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
-    labels = artifacts.read_table(arguments.labels, monte_carlo.LABELS)
+    labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
     truth = graph_construction.truth_at(
         poses["time_s"].to_numpy(), artifacts.read_table(arguments.truth, survey.TRAJECTORY)

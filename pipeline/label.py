@@ -20,7 +20,8 @@ def main(arguments: argparse.Namespace) -> None:
     )
     labels, made = shards.labels(job)
     print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
-    rows = pd.DataFrame([one.row for one in labels], columns=monte_carlo.LABELS.names)
+    schema = monte_carlo.schema(registration.dimensions)
+    rows = pd.DataFrame([one.row for one in labels], columns=schema.names)
     parameters = {
         "survey": arguments.survey,
         "copy": chosen.copy,
@@ -32,7 +33,7 @@ def main(arguments: argparse.Namespace) -> None:
         "errors": padded([one.errors for one in labels]),
         "held_out": np.stack([one.held_out for one in labels]),
     }
-    artifacts.write_table(arguments.labels, rows, monte_carlo.LABELS, parameters)
+    artifacts.write_table(arguments.labels, rows, schema, parameters)
     artifacts.write_arrays(arguments.errors, samples, parameters)
     prior_sigma_m, target = chosen.prior_variance_m2**0.5, chosen.target_relative_error
     print(*label_summary.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")

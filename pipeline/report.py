@@ -3,14 +3,14 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, report, settings, study, summary
+from pointnetkl import artifacts, command, report, settings, simulation, study, summary
 from pointnetkl.results import Folders
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read every stage's artifacts, write the report, print what matters most of it."""
     chosen = settings.read(arguments.params, "report", summary.Settings)
-    simulate = settings.read(arguments.params, "simulate", dict)
+    simulate = settings.read(arguments.params, "simulate", dict[str, simulation.Settings])
     folders = Folders(arguments.data, arguments.models, arguments.reports)
     made = report.make(folders, study.read(arguments.params), simulate, chosen)
     for name, content in made.files.items():

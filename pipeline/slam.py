@@ -15,7 +15,8 @@ def main(arguments: argparse.Namespace) -> None:
     chosen = settings.read(arguments.params, "slam", slam.Settings)
     arrays, made_with = artifacts.read_arrays(arguments.graph)
     graph = survey_graph.from_arrays(arrays)
-    tables = [artifacts.read_table(path, table.SCHEMA) for path in (arguments.estimated, arguments.predicted)]
+    paths = (arguments.estimated, arguments.predicted)
+    tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
     methods = slam.by_method(pd.concat(tables, ignore_index=True))
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = slam.clouds_of(graph, {s.number: s.points for s in submaps})

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from pointnetkl import artifacts, command, gicp, monte_carlo, runtime, settings, simulation
-from pointnetkl.covariance import constant, estimated, learned, pointnetkl, sampled
+from pointnetkl.covariance import constant, estimated, learned, sampled, trained
 from pointnetkl.covariance.method import Method
+from pointnetkl.covariance.self_registration import SelfRegistration
 from pointnetkl.simulation import seabed
 from pointnetkl.submap import Submap
 
@@ -42,18 +43,20 @@ def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Met
     """Return every method; the constant's value does not matter to its time."""
     label = settings.read(arguments.params, "label", monte_carlo.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
+    seed = settings.read(arguments.params, "predict", learned.Settings).seed
+    fits = learned.read(arguments.fits, registration.dimensions)
     return [
         sampled.Sampled("monte_carlo", chosen.runs, chosen.seed, label, registration),
-        constant.Constant("constant", label.prior_variance_m2 * np.eye(2)),
+        constant.Constant("constant", np.eye(registration.dimensions)),
         *estimated.without_labels(settings.read(arguments.params, "estimate", estimated.Settings), label, registration),
-        *learned.methods(learned.read(arguments.fits), registration),
-        pointnetkl.load(arguments.model),
+        *learned.methods(fits, SelfRegistration(seed, label, registration)),
+        *(trained.load(path) for path in arguments.models),
     ]
 
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--models", type=Path, nargs="+", required=True)
     parser.add_argument("--fits", type=Path, required=True)
     parser.add_argument("--runtime", type=Path, required=True)
     command.run(main, parser)

@@ -30,12 +30,9 @@ def main(arguments: argparse.Namespace) -> None:
     found = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
     sections = {"vary": chosen, "label": label, "registration": registration}
     params = {name: settings.as_metadata(values) for name, values in sections.items()}
-    artifacts.write_table(
-        arguments.variations,
-        pd.DataFrame(chain.from_iterable(found), columns=sensitivity.VARIATIONS.names),
-        sensitivity.VARIATIONS,
-        {"survey": arguments.survey, "params": params},
-    )
+    schema = sensitivity.schema(registration.dimensions)
+    variations = pd.DataFrame(chain.from_iterable(found), columns=schema.names)
+    artifacts.write_table(arguments.variations, variations, schema, {"survey": arguments.survey, "params": params})
 
 
 def choose(survey: str, path: Path, count: int, registration: gicp.Settings) -> list[int]:

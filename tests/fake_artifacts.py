@@ -12,7 +12,9 @@ from pointnetkl.covariance import table
 
 LENGTH_M, SPACING_M, LINES, ALONG = 60.0, 4.0, 3, 6
 TRAIN, TEST = ("baltic", "borno_1"), ("borno_8", "mine")
-METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", "pointnetkl")
+MODELS = ("pointnetkl", "network")
+METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", *MODELS)
+CRS = "EPSG:32632"
 REPETITIONS, HELD_OUT = 4, 40
 _WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
@@ -55,9 +57,24 @@ def _parameters() -> dict[str, object]:
         for name in (*TRAIN, *TEST)
     }
     study = {"train": {n: lines[n] for n in TRAIN}, "test": {n: lines[n] for n in TEST}, "surveys": lines}
-    simulate = {name: {"vehicle": "hugin"} for name in (*TRAIN, *TEST) if name != "mine"}
-    report = {"seed": 9, "kl_floor_m2": 0.01, "cell_factor": 2.0}
-    return {"study": {"scale": "smoke", **study}, "simulate": simulate, "report": report}
+    simulate = {name: _simulation(name) for name in (*TRAIN, *TEST) if name != "mine"}
+    report = {"seed": 9, "kl_floor_m2": 0.01, "cell_factor": 2.0, "block_submaps": 3}
+    report["terrain_classes"] = {"flat_slope": 0.004, "rugged_slope": 0.02}
+    return {"study": {"scale": "smoke", "models": list(MODELS), **study}, "simulate": simulate, "report": report}
+
+
+def _simulation(name: str) -> dict[str, object]:
+    """Return what a survey claims to be simulated from: hills; and in borno_8 a wall, beside its third line."""
+    relief = {"height_m": 0.0, "length_m": 500.0, "flat": 0.5, "stretch": 1.0, "azimuth_deg": 0.0}
+    terrain: dict[str, object] = {"depth_m": 80.0, "patch_m": 200.0, "relief": relief}
+    terrain["hills"] = {"slope": [0.0001, 0.2], "length_m": 150.0}
+    terrain["texture"] = {"slope": [1e-4, 1e-3], "length_m": 9.0}
+    if name == "borno_8":
+        terrain["wall"] = {"height_m": 30.0, "width_m": 30.0, "azimuth_deg": 0.0, "offset_m": 165.0}
+    layout = {"lines": 3, "line_length_m": 360.0, "line_spacing_m": 50.0, "start_jitter_m": 0.0, "repeat_m": 0.0}
+    place = {"crs": CRS, "centre_m": [0.0, 0.0], "layout": {**layout, "azimuth_deg": 0.0}, "altitude_m": 20.0}
+    how = {"seed": len(name), "vehicle": "hugin", "grid": "data/none", "ping_spacing_m": 2.0, "beam_spacing_m": 2.0}
+    return {**how, **place, "terrain": terrain}
 
 
 def _rng(name: str) -> np.random.Generator:
@@ -98,7 +115,7 @@ def _write_survey(data: Path, fake: Fake) -> None:
         data / f"surveys/{fake.name}/pings.parquet",
         pings.assign(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0),
         survey.PINGS,
-        {},
+        {"crs": CRS, "origin": [0.0, 0.0]},
     )
     across = np.linspace(-40, 40, 40)
     sx, sy = np.repeat(x, 40), (y[:, None] + across).ravel()
@@ -165,7 +182,7 @@ def _write_test(root: Path, fake: Fake) -> None:
     q = dict(
         zip(
             METHODS,
-            (fake.q, mean, np.broadcast_to(2 * np.eye(2), mean.shape), 1.3 * mean, 1.1 * fake.q, shrunk),
+            (fake.q, mean, np.broadcast_to(2 * np.eye(2), mean.shape), 1.3 * mean, 1.1 * fake.q, shrunk, 1.05 * fake.q),
             strict=True,
         )
     )
@@ -210,10 +227,13 @@ def _write_training(root: Path) -> None:
     training = 2 * np.exp(-step / 30) + 0.4 + 0.1 * np.sin(step)
     validation = np.where(step % 10 == 0, 2 * np.exp(-step / 25) + 0.6 + 2e-5 * (step - 60) ** 2, np.nan)
     loss = pd.DataFrame({"step": step, "training": training, "validation": validation})
-    artifacts.write_bytes(root / "reports/train/loss.csv", loss.to_csv(index=False).encode())
-    artifacts.write_json(root / "reports/train/summary.json", {"kl": {"training": 0.45, "validation": 0.81}})
+    for model in MODELS:
+        artifacts.write_bytes(root / f"reports/train/{model}.csv", loss.to_csv(index=False).encode())
+        kl = {"training": 0.45, "validation": 0.81}
+        artifacts.write_json(root / f"reports/train/{model}.json", {"kl": kl, "floor_m2": 0.01})
     times = {name: {"mean_s": 10.0 ** (1 - i), "std_s": 0.1**i} for i, name in enumerate(METHODS)}
     artifacts.write_json(
         root / "reports/runtime.json", {**times, "machine": {"cpu": "a fake", "threads": 1, "params": {"runs": 50}}}
     )
-    artifacts.write_json(root / "models/fits.json", {"constant_train": {}})
+    fits = {"constant_train": {"mean_kl": 1.5}, "params": {"fit": {"floor_m2": 0.02}}}
+    artifacts.write_json(root / "models/fits.json", fits)

@@ -6,15 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import artifacts, dataset, voxel
+from pointnetkl import artifacts, dataset, submap, voxel
 from pointnetkl.covariance import gaussian
 
 
 def write(folder: Path, name: str, count: int = 20, edge: float = 0.01, first: int = 0) -> None:
-    """Write a survey's clouds and labels as the stages before training do."""
+    """Write a survey's submaps, clouds and labels as the stages before training do."""
     rng = np.random.default_rng(count)
     clouds = [voxel.Canonical(rng.uniform(-0.5, 0.5, (30 + i, 3)).astype(np.float32), 100.0 + i) for i in range(count)]
     numbers = list(range(first, first + count))
+    submaps = [submap.Submap(name, i, *3 * [c.points * c.radius]) for i, c in zip(numbers, clouds, strict=True)]
+    artifacts.write_table(folder / name / "submaps.parquet", submap.to_table(submaps), submap.POINTS, {})
     made = {"survey": name, "params": {"voxelise": {"seed": 0, "voxel": edge}}}
     artifacts.write_arrays(folder / name / "clouds.npz", voxel.Clouds.of(numbers, clouds).to_arrays(), made)
     labels = pd.DataFrame({"submap": numbers, "q_xx_m2": 2.0, "q_xy_m2": 0.1, "q_yy_m2": np.arange(count) + 1.0})

@@ -22,13 +22,13 @@ def two_basins(runs: int, share: float, apart: float = 5.0) -> np.ndarray:
 
 def test_standard_errors_are_those_of_repeated_labels():
     samples = gaussian(400 * 300).reshape(400, 300, 2)
-    entries = np.stack([monte_carlo.covariance(s)[[0, 0, 1], [0, 1, 1]] for s in samples])
+    entries = np.stack([monte_carlo.covariance(s) for s in samples])
     claimed = np.mean([error_statistics.standard_errors(s) for s in samples], axis=0)
     assert np.allclose(entries.std(axis=0), claimed, rtol=0.1)
 
 
 def test_standard_errors_of_gaussian_errors_are_those_of_theory():
-    expected = np.sqrt([2 * Q[0, 0] ** 2, Q[0, 0] * Q[1, 1] + Q[0, 1] ** 2, 2 * Q[1, 1] ** 2]) / np.sqrt(100_000)
+    expected = np.sqrt(np.outer(np.diag(Q), np.diag(Q)) + Q**2) / np.sqrt(100_000)
     assert np.allclose(error_statistics.standard_errors(gaussian(100_000)), expected, rtol=0.02)
 
 
@@ -36,7 +36,7 @@ def test_heavy_tails_make_the_standard_error_larger():
     sample = np.random.default_rng(0).standard_t(12, (200_000, 2))
     kurtosis, variance = 3 + 6 / (12 - 4), 12 / (12 - 2)
     expected = variance * np.sqrt((kurtosis - 1) / len(sample))
-    assert np.allclose(error_statistics.standard_errors(sample)[[0, 2]], expected, rtol=0.05)
+    assert np.allclose(error_statistics.standard_errors(sample).diagonal(), expected, rtol=0.05)
     assert error_statistics.relative_error(sample) == pytest.approx(expected / variance, rel=0.05)
 
 
@@ -64,6 +64,29 @@ def test_no_direction_has_a_larger_relative_error():
     products = (sample @ directions.T) ** 2
     each = products.std(axis=0) / products.mean(axis=0) / np.sqrt(len(sample))
     assert error_statistics.relative_error(sample) == pytest.approx(each.max(), rel=2e-3)
+
+
+def test_with_yaw_too_no_direction_has_a_larger_relative_error_whatever_the_units():
+    rng = np.random.default_rng(5)
+    sample = rng.standard_normal((3000, 3)) @ rng.standard_normal((3, 3))
+    sample[:90] += 5 * rng.standard_normal(3)  # a second basin, in no axis
+    directions = rng.standard_normal((20_000, 3)) @ np.linalg.inv(np.linalg.cholesky(sample.T @ sample))
+    products = (sample @ directions.T) ** 2
+    largest = (products.std(axis=0) / products.mean(axis=0)).max() / np.sqrt(len(sample))
+    for units in ([1, 1, 1], [1, 1, 1e-3]):
+        assert error_statistics.relative_error(sample * units) == pytest.approx(largest, rel=0.01)
+
+
+def test_errors_in_a_plane_have_no_relative_error():
+    plane = np.random.default_rng(3).standard_normal((400, 2)) @ np.array([[1.0, 0.7, 1e-3], [0.0, 2.0, 3e-3]])
+    assert error_statistics.relative_error(plane) == np.inf
+
+
+def test_the_main_basin_is_one_of_x_and_y_whatever_the_yaw():
+    sample = two_basins(1000, 0.1) * 10
+    yaw = np.random.default_rng(6).standard_cauchy(1000)
+    share = error_statistics.main_basin_share(np.column_stack([sample, yaw]))
+    assert share == error_statistics.main_basin_share(sample)
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0), (1.0, 0.7), (1.0, 2.0), (1.0, 3.0)])

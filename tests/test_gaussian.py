@@ -71,6 +71,11 @@ def test_kl_divergence_of_a_stack_is_that_of_each_and_survives_tiny_covariances(
     assert gaussian.kl_divergence(p[0], np.stack([p[0], 2 * p[0]])) == pytest.approx([0, np.log(2) - 0.5])
 
 
+def test_the_floor_of_a_yaw_is_that_of_x_and_y_at_100_m():
+    floor = gaussian.with_floor(np.zeros((3, 3)), 0.04)
+    assert floor == pytest.approx(np.diag([0.2, 0.2, 0.2 / 100]) ** 2)
+
+
 def test_a_floor_is_added_to_the_diagonal_only():
     q = np.array([[[1.0, 0.5], [0.5, 2.0]]])
     assert gaussian.with_floor(q, 0.01).tolist() == [[[1.01, 0.5], [0.5, 2.01]]]

@@ -7,7 +7,7 @@ import pytest
 
 import reference_gicp
 import terrains
-from pointnetkl import gicp
+from pointnetkl import gicp, pose
 from pointnetkl.gicp import kernel, registration
 
 SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
@@ -20,6 +20,10 @@ NOISE = gicp.Noise(sigma_m=0.1, key=3)
 
 def moves(count: int) -> np.ndarray:
     return 3 * np.random.default_rng(3).standard_normal((count, 2))
+
+
+def with_yaw(settings: gicp.Settings) -> gicp.Settings:
+    return dataclasses.replace(settings, dof="xyyaw")
 
 
 @pytest.mark.parametrize("kind", EVERY_KIND)
@@ -54,14 +58,14 @@ def test_normals_are_those_of_the_reference_and_point_up() -> None:
     assert np.allclose(np.abs(np.sum(cloud.normals * expected, axis=1)), 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("yaw", [False, True])
+@pytest.mark.parametrize("dof", ["xy", "xyyaw"])
 @pytest.mark.parametrize("kind", EVERY_KIND)
-def test_keeping_matches_changes_nothing(kind: str, yaw: bool) -> None:
-    cloud = gicp.prepare(terrains.cloud(kind, 1000), SETTINGS)
-    source = cloud.as_source(cloud, np.zeros(3))
+def test_keeping_matches_changes_nothing(kind: str, dof: str) -> None:
+    cloud, chosen = gicp.prepare(terrains.cloud(kind, 1000), SETTINGS), dataclasses.replace(SETTINGS, dof=dof)
+    source, turns = cloud.as_source(cloud, np.zeros(3)), np.linspace(-0.05, 0.05, 20) * (dof == "xyyaw")
     kept, anew = (
-        kernel.register_noisy(source, cloud.as_target, moves(20), NOISE.draws(), limits)
-        for limits in (registration._limits(SETTINGS, yaw), registration._limits(SETTINGS, yaw, keep=False))
+        kernel.register_noisy(source, cloud.as_target, moves(20), turns, NOISE.draws(), limits)
+        for limits in (registration._limits(chosen), registration._limits(chosen, keep=False))
     )
     for one, other in zip(kept, anew, strict=True):
         assert np.array_equal(one, other)
@@ -99,7 +103,7 @@ def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_the_kernel_with_yaw_agrees_with_the_reference_within_a_millimetre_and_a_hundred_thousandth(kind: str) -> None:
     cloud = gicp.prepare(terrains.cloud(kind, 400), FINE)
-    found = gicp.register_noisy(cloud, cloud, moves(50), NOISE, FINE, yaw=True)
+    found = gicp.register_noisy(cloud, cloud, moves(50), NOISE, with_yaw(FINE))
     target = cloud.points - cloud.centre
     normals = reference_gicp.normals(target, cloud.lists)
     expected = []
@@ -116,7 +120,7 @@ def test_a_cloud_turned_over_itself_is_turned_back() -> None:
     target = gicp.prepare(points, SETTINGS)
     c, s = np.cos(0.02), np.sin(0.02)
     turned = (points - target.centre) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + target.centre + [1.0, -0.5, 0.0]
-    found = gicp.register(gicp.prepare(turned, SETTINGS), target, SETTINGS, yaw=True)
+    found = gicp.register(gicp.prepare(turned, SETTINGS), target, with_yaw(SETTINGS))
     assert found.converged
     assert np.isclose(found.yaw, -0.02, atol=1e-5)
     # it is turned about the target's centre first, with its own centre at (1, -0.5), then translated
@@ -125,10 +129,42 @@ def test_a_cloud_turned_over_itself_is_turned_back() -> None:
 
 def test_yaw_is_free_to_take_what_a_turned_copy_would_else_put_into_translation() -> None:
     cloud = gicp.prepare(terrains.cloud("ridge", 2000), SETTINGS)
-    one, three = (gicp.register_noisy(cloud, cloud, moves(100), NOISE, SETTINGS, yaw) for yaw in (False, True))
+    one, three = (gicp.register_noisy(cloud, cloud, moves(100), NOISE, s) for s in (SETTINGS, with_yaw(SETTINGS)))
     assert np.array_equal(one.yaw, np.zeros(100))
     assert 1e-6 < three.yaw.std() < 1e-2
     assert (three.translation + moves(100))[:, 1].std() < 0.1  # across the ridge
+
+
+def test_a_search_may_begin_turned() -> None:
+    points = terrains.cloud("rugged", 2000) + np.array([50.0, -20.0, 0.0])
+    target = gicp.prepare(points, SETTINGS)
+    turn, move = 2.0, np.array([4.0, -2.0])  # too far to be found from where the cloud is
+    away = pose.turned(points[:, :2] - target.centre[:2] - move, -turn) + target.centre[:2]
+    source = gicp.prepare(np.column_stack([away, points[:, 2]]), SETTINGS)
+    found = gicp.register(source, target, with_yaw(SETTINGS), (3.5, -1.7, 1.99))
+    assert found.yaw == pytest.approx(turn, abs=1e-4)
+    assert found.translation == pytest.approx(move, abs=1e-2)
+    assert abs(gicp.register(source, target, with_yaw(SETTINGS)).yaw - turn) > 0.1
+    noisy = gicp.register_noisy(source, target, np.array([[0.0, 0.0, 1.99]]), NOISE, with_yaw(SETTINGS))
+    assert noisy.yaw == pytest.approx([turn], abs=1e-2)
+
+
+def test_information_with_yaw_is_that_of_the_cost_about_the_solution() -> None:
+    target = gicp.prepare(terrains.cloud("rugged", 400), FINE)
+    found = gicp.register(target, target, with_yaw(FINE))
+    A = gicp.linearise(
+        target.points, target.normals.astype(float), target, found.translation, found.yaw, with_yaw(FINE)
+    )
+    assert found.information == pytest.approx(A.information, rel=1e-4)
+    assert found.information[:2, :2] == pytest.approx(gicp.register(target, target, FINE).information, rel=1e-6)
+
+
+def test_a_start_with_a_yaw_needs_the_dof() -> None:
+    cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
+    with pytest.raises(gicp.GicpError, match="needs the dof xyyaw"):
+        gicp.register(cloud, cloud, SETTINGS, (0.0, 0.0, 0.1))
+    with pytest.raises(gicp.GicpError, match="have a yaw"):
+        gicp.register_noisy(cloud, cloud, np.zeros((1, 3)), NOISE, SETTINGS)
 
 
 def test_clouds_too_far_apart_are_left_where_they_are() -> None:
@@ -180,7 +216,8 @@ def test_a_cloud_that_cannot_be_registered_is_refused_and_told_why(points: np.nd
 
 
 @pytest.mark.parametrize(
-    "change", [{"neighbours": 2}, {"plane_epsilon": 0.0}, {"max_distance_m": -1.0}, {"max_iterations": 0}]
+    "change",
+    [{"neighbours": 2}, {"plane_epsilon": 0.0}, {"max_distance_m": -1.0}, {"max_iterations": 0}, {"dof": "yaw"}],
 )
 def test_settings_that_make_no_sense_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):

@@ -117,9 +117,10 @@ def test_without_a_gpu_one_is_told_what_is_missing() -> None:
 
 def test_what_the_engine_does_not_do_it_refuses() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 50), SETTINGS)
-    for asked in ({"yaw": True}, {"recompute_normals": False}):
+    with_yaw = replace(SETTINGS, dof="xyyaw")
+    for settings, recompute in ((with_yaw, True), (SETTINGS, False)):
         with pytest.raises(gicp.GicpError, match="x and y alone"):
-            gicp.register_noisy(cloud, cloud, np.zeros((1, 2)), NOISE, SETTINGS, engine="cuda", **asked)
+            gicp.register_noisy(cloud, cloud, np.zeros((1, 2)), NOISE, settings, recompute, engine="cuda")
 
 
 def test_a_cloud_that_does_not_fit_is_refused_before_anything_is_copied() -> None:
@@ -178,7 +179,7 @@ def ptx() -> str:
 
 def signature() -> tuple[Any, ...]:
     """Return the types of a launch's arguments."""
-    cloud, limits = gicp.prepare(terrains.cloud("mild", 50), SETTINGS), registration._limits(SETTINGS, yaw=False)
+    cloud, limits = gicp.prepare(terrains.cloud("mild", 50), SETTINGS), registration._limits(SETTINGS)
     arguments = cuda.arguments(simulated_gpu.HostLane(), cloud, cloud, np.zeros((2, 2)), NOISE, limits)
     return tuple(numba.typeof(argument) for argument in arguments)
 

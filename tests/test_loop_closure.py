@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import footprint, graph_construction, loop_closure, survey_graph
+from pointnetkl import footprint, graph_construction, loop_closure, pose, survey_graph
 from pointnetkl.survey_graph import Closures
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
+
+WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
 
 SQUARE = np.stack(np.meshgrid(np.arange(0.5, 10), np.arange(0.5, 10)), -1).reshape(-1, 2)
 
@@ -88,6 +90,61 @@ def test_a_corrected_submap_replaces_the_one_that_was_handed_in():
     found = loop_closure.close(stack, poses, np.zeros((5, 2)), SPACING, SETTINGS, REGISTRATION)
     assert found.correction[0] == pytest.approx([-1.0, -0.5], abs=1e-2)
     assert found.edges.measured[:, :2, 3] == pytest.approx(np.zeros((len(found.edges.source), 2)), abs=2e-2)
+
+
+def test_with_yaw_a_loop_closure_measures_that_too():
+    submaps, truth = sail(3, 4)
+    starts = loop_closure.starts("toy", submaps, SETTINGS, 3)
+    found = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, WITH_YAW)
+    e = survey_graph.errors(found, truth)
+    assert e.shape == (len(found.edges.source), 3)
+    assert np.abs(e).max(axis=0) == pytest.approx(np.zeros(3), abs=0.2)
+    assert 0 < np.abs(e[:, 2]).max() < 0.01
+    assert np.abs(starts[found.node] - found.start[:, :3]).max(axis=0)[2] == 0
+    assert starts[:, :2] == pytest.approx(loop_closure.starts("toy", submaps, SETTINGS))
+
+
+def test_a_submap_that_navigation_turned_is_turned_back_about_its_own_middle():
+    submaps, truth = sail(3, 1)
+    stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
+    poses[2] = truth[0] @ pose.matrix(np.array([1.0, 0.5, 0.0]), 0.05)  # navigation errs here, and only here
+    found = loop_closure.close(stack, poses, np.zeros((5, 3)), SPACING, SETTINGS, WITH_YAW)
+    assert found.correction[0] == pytest.approx([-1.0, -0.5, -0.05], abs=1e-2)
+    exact = np.tile(np.eye(4), (len(found.edges.source), 1, 1))
+    assert found.edges.measured == pytest.approx(exact, abs=2e-2)
+
+
+def test_errors_with_yaw_are_about_the_middle_of_the_source_s_points():
+    submaps, truth = sail(2, 3)
+    away = [dataclasses.replace(s, points=s.points + np.array([30.0, 20.0, 0.0])) for s in submaps]
+    poses = truth @ pose.matrix(np.array([-30.0, -20.0, 0.0]), 0.0)  # the same ground, from frames elsewhere
+    ours, theirs = (
+        survey_graph.errors(loop_closure.close(s, T, np.zeros((6, 3)), SPACING, SETTINGS, WITH_YAW), T)
+        for s, T in ((submaps, truth), (away, poses))
+    )
+    assert theirs == pytest.approx(ours, abs=1e-3)
+
+
+def test_drift_in_yaw_is_carried_on_to_where_the_next_submap_is():
+    submaps, truth = sail(2, 3, apart=4.0)
+    navigation = pose.matrix(np.array([0.5, -0.3, 0.0]), 0.02) @ truth
+    navigation[:3] = truth[:3]  # the first line is right, all of the second is off by one motion
+    found = loop_closure.close(submaps, navigation, None, SPACING, SETTINGS, WITH_YAW)
+    assert found.node.tolist() == [4, 5]
+    first, second = np.abs(found.start - found.correction).max(axis=1)
+    assert second < 0.2 < 0.5 < first
+    assert np.abs(survey_graph.errors(found, truth)).max(axis=0) == pytest.approx([0, 0, 0], abs=0.2)
+
+
+def test_a_graph_with_yaw_comes_back_from_its_file_and_refuses_covariances_without():
+    _, made = graph(4, 4, registration=WITH_YAW)
+    arrays = survey_graph.to_arrays(made)
+    again = survey_graph.to_arrays(survey_graph.from_arrays(arrays))
+    assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
+    assert arrays["registration_error_truth_m"].shape == (len(made.closures.node), 3)
+    assert survey_graph.summary(made)["gt_truth_rmse_xyz_m"] < survey_graph.summary(made)["navigation_truth_rmse_xyz_m"]
+    with pytest.raises(survey_graph.SurveyGraphError, match="registrations find 3 numbers"):
+        survey_graph.edge_covariances(made.number, {int(n): np.eye(2) for n in made.number}, made.closures, "toy")
 
 
 def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():

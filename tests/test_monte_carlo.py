@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import terrains
-from pointnetkl import compute, gicp, label_summary, monte_carlo
-from pointnetkl.covariance import gaussian
+from pointnetkl import compute, gicp, label_summary, metrics, monte_carlo
+from pointnetkl.covariance import gaussian, table
 from pointnetkl.submap import Submap
 
 REGISTRATION = gicp.Settings(
@@ -53,6 +53,45 @@ def test_a_flat_seabed_leaves_errors_of_metres_and_a_rugged_one_of_centimetres()
 def test_registration_is_better_than_none() -> None:
     for kind in (*terrains.AMPLITUDES_M, "ridge"):
         assert np.linalg.eigvalsh(monte_carlo.covariance(errors(submap(kind))))[1] < SETTINGS.prior_variance_m2
+
+
+def errors_with_yaw(of: Submap, runs: int, **changes: float) -> np.ndarray:
+    registration = dataclasses.replace(REGISTRATION, dof="xyyaw", **changes)
+    return monte_carlo.errors(of, runs, np.random.default_rng(3), SETTINGS, registration).errors
+
+
+def test_a_registration_that_finds_no_match_leaves_the_whole_perturbation() -> None:
+    sample = errors_with_yaw(submap("flat", 100), 2000, max_distance_m=1e-6)
+    assert sample.std(axis=0) == pytest.approx([3, 3, SETTINGS.prior_yaw_sigma_rad], rel=0.05)
+    assert np.abs(np.corrcoef(sample.T) - np.eye(3)).max() < 0.1
+
+
+def test_registration_finds_yaw_and_finds_it_best_on_rugged_ground() -> None:
+    flat, rugged = (errors_with_yaw(submap(kind), 100)[:, 2].std() for kind in ("flat", "rugged"))
+    assert 3 * rugged < flat < SETTINGS.prior_yaw_sigma_rad
+
+
+def test_errors_with_yaw_are_about_the_middle_of_the_submap_wherever_its_frame_has_its_origin() -> None:
+    of = submap("mild", 300)
+    away = dataclasses.replace(of, points=of.points + np.array([60.0, -40.0, 5.0]))
+    assert errors_with_yaw(away, 20) == pytest.approx(errors_with_yaw(of, 20), abs=1e-3)
+
+
+def test_errors_with_yaw_turn_with_the_submap_and_yaw_does_not() -> None:
+    straight, (c, s) = submap("rugged", 500), (np.cos(1.0), np.sin(1.0))
+    turned = dataclasses.replace(straight, points=straight.points @ [[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    q, other = (monte_carlo.covariance(errors_with_yaw(of, 1000)) for of in (straight, turned))
+    sigma = np.sqrt(np.diag(other))
+    assert (R @ q @ R.T) / np.outer(sigma, sigma) == pytest.approx(other / np.outer(sigma, sigma), abs=0.15)
+
+
+def test_a_label_with_yaw_describes_errors_that_it_has_not_seen() -> None:
+    registration = dataclasses.replace(REGISTRATION, dof="xyyaw")
+    label = monte_carlo.label(submap("rugged"), 400, dataclasses.replace(SETTINGS, held_out_runs=400), registration)
+    q = table.to_matrices(pd.DataFrame([label.row]))
+    assert set(label.row) == set(monte_carlo.schema(3).names)
+    assert metrics.calibration(label.held_out[None], q)["nees"] == pytest.approx(1, abs=0.15)
 
 
 def test_a_copy_flatters_and_another_pass_does_not() -> None:
@@ -126,7 +165,8 @@ def pretend(monkeypatch: pytest.MonkeyPatch, sample: np.ndarray, shared: np.ndar
     ) -> SimpleNamespace:
         these = np.array([next(left) for _ in moved])
         converged = np.ones(len(these), np.bool_) if shared is None else shared[these]
-        return SimpleNamespace(translation=sample[these] - moved, converged=converged, iterations=these % 4)
+        translation, yaw = sample[these] - moved, np.zeros(len(these))
+        return SimpleNamespace(translation=translation, yaw=yaw, converged=converged, iterations=these % 4)
 
     monkeypatch.setattr(gicp, "register_noisy", register)
 

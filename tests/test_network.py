@@ -1,13 +1,16 @@
 """PointNetKL: what holds for any weights."""
 
+import copy
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 import torch
 
-from pointnetkl import network, settings
+from pointnetkl import cholesky, network, settings
 from pointnetkl.covariance import gaussian
+from pointnetkl.model import Model, ModelError, predict
 
 SMALL = network.Settings(scale_input=True, hidden_layers=2, hidden_width=32, dropout=0.4)
 PAPER = network.Settings(scale_input=True, hidden_layers=4, hidden_width=1000, dropout=0.4)
@@ -33,74 +36,41 @@ def lived_in(chosen: network.Settings = SMALL) -> network.PointNetKL:
     return model.eval()
 
 
+def answer(model: Model, cloud: np.ndarray, radius: float) -> np.ndarray:
+    """Return the covariance of one whole cloud."""
+    return predict(model, (cloud[None], np.array([radius], np.float32)))[0]
+
+
 @pytest.fixture(scope="module")
 def model() -> network.PointNetKL:
     return lived_in()
 
 
-@pytest.mark.parametrize("m", [2, 3])
-def test_every_answer_is_symmetric_and_positive_definite(m: int):
-    numbers = 2 * torch.randn(200, m * (m + 1) // 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    for q in network.covariance(numbers, m).numpy():
-        gaussian.check(q, "test")
-
-
-@pytest.mark.parametrize("m", [2, 3])
-def test_l_and_d_are_the_cholesky_composition_of_the_paper(m: int):
-    numbers = torch.arange(1.0, 1 + m * (m + 1) // 2, dtype=torch.float64)[None]
-    below, d = numbers[0, :-m].numpy(), numbers[0, -m:].numpy()
-    lower = np.eye(m)
-    lower[np.tril_indices(m, -1)] = below
-    np.testing.assert_allclose(network.covariance(numbers, m)[0], lower @ np.diag(np.exp(d)) @ lower.T)
-
-
-@pytest.mark.parametrize("m", [2, 3])
-def test_divergence_from_l_and_d_is_that_of_the_matrices(m: int):
-    generator = torch.Generator().manual_seed(1)
-    numbers = torch.randn(100, m * (m + 1) // 2, dtype=torch.float64, generator=generator)
-    factors = torch.linalg.cholesky(network.covariance(numbers.flip(0), m))
-    expected = gaussian.kl_divergence((factors @ factors.mT).numpy(), network.covariance(numbers, m).numpy())
-    np.testing.assert_allclose(network.kl_divergence(factors, numbers), expected, atol=1e-9)
-
-
-def test_divergence_of_a_covariance_from_itself_is_zero_however_small_it_is():
-    numbers = torch.tensor([[0.5, -30.0, -25.0], [0.0, -60.0, -60.0]])
-    factors = torch.linalg.cholesky(network.covariance(numbers.double())).float()
-    np.testing.assert_allclose(network.kl_divergence(factors, numbers), 0, atol=1e-4)
-
-
-def test_divergence_has_its_minimum_where_the_prediction_is_the_label():
-    numbers = torch.tensor([[0.3, -1.0, 0.5]], dtype=torch.float64, requires_grad=True)
-    factors = torch.linalg.cholesky(network.covariance(numbers.detach()))
-    network.kl_divergence(factors, numbers).sum().backward()
-    np.testing.assert_allclose(numbers.grad, 0, atol=1e-12)
-
-
 def test_the_order_of_points_does_not_matter(model: network.PointNetKL):
     cloud = clouds(1)[0]
     shuffled = np.random.default_rng(1).permutation(cloud)
-    np.testing.assert_allclose(network.predict(model, shuffled, 100), network.predict(model, cloud, 100), rtol=1e-4)
+    np.testing.assert_allclose(answer(model, shuffled, 100), answer(model, cloud, 100), rtol=1e-4)
 
 
 def test_a_cloud_is_judged_alone_whatever_else_is_in_its_batch(model: network.PointNetKL):
     batch, radius = clouds(5), np.linspace(80, 200, 5, dtype=np.float32)
     with torch.inference_mode():
-        together = network.covariance(model(torch.from_numpy(batch), torch.from_numpy(radius)))
-    alone = [network.predict(model, cloud, r) for cloud, r in zip(batch, radius, strict=True)]
+        together = cholesky.covariance(model(torch.from_numpy(batch), torch.from_numpy(radius)))
+    alone = [answer(model, cloud, r) for cloud, r in zip(batch, radius, strict=True)]
     np.testing.assert_allclose(together, alone, rtol=1e-3)
 
 
 def test_points_that_come_twice_change_nothing(model: network.PointNetKL):
     cloud = clouds(1)[0]
     twice = np.concatenate([cloud, cloud[:20]])
-    np.testing.assert_allclose(network.predict(model, twice, 100), network.predict(model, cloud, 100), rtol=1e-4)
+    np.testing.assert_allclose(answer(model, twice, 100), answer(model, cloud, 100), rtol=1e-4)
 
 
 def test_the_radius_matters_only_to_a_network_that_is_given_it(model: network.PointNetKL):
     cloud = clouds(1)[0]
-    assert not np.allclose(network.predict(model, cloud, 100), network.predict(model, cloud, 200))
+    assert not np.allclose(answer(model, cloud, 100), answer(model, cloud, 200))
     unscaled = lived_in(dataclasses.replace(SMALL, scale_input=False))
-    np.testing.assert_array_equal(network.predict(unscaled, cloud, 100), network.predict(unscaled, cloud, 200))
+    np.testing.assert_array_equal(answer(unscaled, cloud, 100), answer(unscaled, cloud, 200))
 
 
 def test_transforms_are_the_identity_before_training():
@@ -108,6 +78,34 @@ def test_transforms_are_the_identity_before_training():
     points = torch.from_numpy(clouds(4))
     for _ in range(2):
         np.testing.assert_array_equal(network.TransformNet(3)(points).detach(), points)
+
+
+def layer_by_layer(layers: network.PooledMLP, features: torch.Tensor) -> torch.Tensor:
+    """Return what a PooledMLP stands for, computed as the paper draws it."""
+    rows = torch.nn.Sequential.forward(layers, features.reshape(-1, features.shape[2]))
+    return rows.reshape(*features.shape[:2], -1).amax(dim=1)
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_the_largest_features_are_those_of_one_layer_after_the_other_and_so_are_their_gradients(training: bool):
+    torch.manual_seed(0)
+    fast = network.PooledMLP((5, 16, 40)).double()
+    with torch.no_grad():
+        for norm in (fast[1], fast[4]):
+            norm.weight.normal_()  # some of them negative
+            norm.bias.normal_()
+            norm.running_mean.normal_()
+    slow = copy.deepcopy(fast)
+    features = torch.randn(6, 30, 5, dtype=torch.float64)
+    answers = []
+    for layers, compute in ((fast, fast), (slow, functools.partial(layer_by_layer, slow))):
+        layers.train(training)
+        given = features.clone().requires_grad_()
+        answer = compute(given)
+        answer.sin().sum().backward()
+        answers.append([answer, given.grad, *(p.grad for p in layers.parameters()), *layers.buffers()])
+    for a, b in zip(*answers, strict=True):
+        np.testing.assert_allclose(a.detach(), b.detach(), rtol=1e-6, atol=1e-9)
 
 
 def test_the_network_has_the_layers_of_the_papers():
@@ -124,13 +122,13 @@ def test_the_network_has_the_layers_of_the_papers():
 
 
 def test_three_dimensions_give_three_by_three_covariances():
-    q = network.predict(lived_in(dataclasses.replace(SMALL, dimensions=3)), clouds(1)[0], 100)
+    q = answer(lived_in(dataclasses.replace(SMALL, dimensions=3)), clouds(1)[0], 100)
     assert gaussian.check(q, "test").shape == (3, 3)
 
 
 def test_a_model_in_training_mode_is_not_asked():
-    with pytest.raises(network.NetworkError, match=r"call model\.eval"):
-        network.predict(network.PointNetKL(SMALL), clouds(1)[0], 100)
+    with pytest.raises(ModelError, match=r"call model\.eval"):
+        answer(network.PointNetKL(SMALL), clouds(1)[0], 100)
 
 
 def test_settings_that_make_no_network_are_refused():

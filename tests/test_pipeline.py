@@ -4,14 +4,20 @@ import json
 import time
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
-from workspace import Workspace
+from pointnetkl import artifacts
+from pointnetkl.covariance import table
+from workspace import ROOT, Workspace
 
 DROPPED = ("shetland", "borno_1", "thwaites_11")
 CHANGES = (Path(__file__).parents[1] / "scales/smoke").read_text().replace("-S ", "").split()
 SCALE = [f"-S{change}" for change in CHANGES if not any(f"surveys.{name}." in change for name in DROPPED)]
+
+CHEAP = ("models.pointnetkl.train.steps=2", "vary.submaps=1", "vary.runs=45", "slam.repetitions=1", "time.submaps=1")
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +99,41 @@ def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(s
     assert metrics["datasets"]["mine"]["simulated"] is False
     assert metrics["slam"]["mine"]["pointnetkl"]["rmse_xyz_m"] >= 0
     assert "mine" in (study.folder / "reports/tables/table_1.md").read_text()
+
+
+def read_covariances(path: Path) -> tuple[pd.DataFrame, np.ndarray]:
+    """Return a table's rows and their covariances, each in units of its own sigmas: a correlation."""
+    rows = pd.read_parquet(path)
+    q = table.to_matrices(rows)
+    sigma = np.sqrt(np.diagonal(q, axis1=1, axis2=2))
+    return rows, q / (sigma[:, :, None] * sigma[:, None])
+
+
+def test_with_yaw_every_stage_gives_covariances_of_x_y_and_yaw(tmp_path: Path):
+    workspace = Workspace(tmp_path)
+    surveys = yaml.safe_load((ROOT / "params.yaml").read_text())["study"]["surveys"]
+    others = [name for name in surveys if name not in ("baltic", "borno_8")]
+    workspace.drop_surveys(*others)
+    workspace.commit("two surveys, x, y and yaw")
+    asked = [
+        *(c for c in CHANGES if not any(f"surveys.{name}." in c for name in others)),
+        "registration.dof=xyyaw",
+        *CHEAP,
+    ]
+    # asked for by its name, the report needs no survey simulated that is not in the study
+    workspace.run("dvc", "exp", "run", *(f"-S{change}" for change in asked), "report")
+
+    data = workspace.folder / "data"
+    for path in ("labels/baltic", "labels/borno_8", "covariances/borno_8_estimated", "covariances/borno_8_predicted"):
+        rows, correlation = read_covariances(data / f"{path}.parquet")
+        assert correlation.shape == (len(rows), 3, 3)
+        assert np.linalg.eigvalsh(correlation).min() > 0
+        assert (rows["q_ww_rad2"] < 0.1).all()
+    held_out = artifacts.read_arrays(data / "labels/borno_8_errors.npz")[0]["held_out"]
+    found = artifacts.read_arrays(data / "graphs/borno_8.npz")[0]["registration_error_truth_m"]
+    assert held_out.shape[2] == found.shape[1] == 3
+    assert 0 < np.abs(found[:, 2]).max() < 0.1
+    metrics = json.loads((workspace.folder / "reports/metrics.json").read_text())
+    for method in {*rows["method"], *pd.read_parquet(data / "covariances/borno_8_estimated.parquet")["method"]}:
+        assert metrics["slam"]["borno_8"][method]["rmse_xyz_m"] > 0
+        assert metrics["calibration"]["borno_8"][method]["nees"] > 0

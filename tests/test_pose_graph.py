@@ -55,6 +55,20 @@ def test_the_rotation_stands_before_the_translation_in_the_covariance():
     assert np.diag(full) == pytest.approx([1e-4, 1e-4, 0.0316**2, 1e4, 1e-2, 1e-4])
 
 
+def test_yaw_s_covariance_moves_from_the_middle_of_the_points_to_the_frame_s_origin():
+    lever, q = np.array([[20.0, -5.0]]), np.diag([0.04, 0.09, 1e-4]) + 1e-3 * np.eye(3, k=2) + 1e-3 * np.eye(3, k=-2)
+    about_middle = np.random.default_rng(0).multivariate_normal(np.zeros(3), q, 20_000) / 100  # small: still linear
+    x, y, yaw = about_middle.T
+    at_origin = np.column_stack([x, y]) - (pose.turned(np.tile(lever, (20_000, 1)), yaw) - lever)
+    found = pose_graph.closure_covariances(q[None], CLOSURE, lever)[0]
+    expected = np.cov(np.column_stack([yaw, at_origin]).T) * 100**2
+    assert found[2:5, 2:5] == pytest.approx(expected, rel=0.05, abs=2e-4)
+    assert np.diag(found)[[0, 1, 5]] == pytest.approx([1e-4, 1e-4, 1e-4])
+    untouched = pose_graph.closure_covariances(q[None], CLOSURE, np.zeros((1, 2)))[0]
+    assert untouched[3:5, 3:5] == pytest.approx(q[:2, :2])
+    assert untouched[2, [3, 4, 2]] == pytest.approx(q[2])
+
+
 def test_a_graph_without_noise_is_recovered_from_a_wrong_start():
     edges = closure(1, 3, CROSSING, (0.0, 0.0))
     graph = PoseGraph(CROSSING[0], edges, pose_graph.closure_covariances(0.1 * np.eye(2)[None], CLOSURE))

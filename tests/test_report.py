@@ -1,10 +1,11 @@
 """The whole report from made-up artifacts: what it holds, what it refuses, and that it comes out the same twice."""
 
 import dataclasses
+import io
 import json
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import yaml
 import fake_artifacts
 from pointnetkl import (
     artifacts,
+    class_tables,
     label_study,
     metrics,
     monte_carlo,
@@ -22,9 +24,11 @@ from pointnetkl import (
     results,
     sensitivity,
     settings,
+    simulation,
     slam,
     study,
     summary,
+    terrain,
 )
 
 UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
@@ -50,7 +54,7 @@ def make(folder: Path) -> report.Report:
     return report.make(
         results.Folders(folder / "data", folder / "models", folder / "reports"),
         study.read(params),
-        settings.read(params, "simulate", dict),
+        settings.read(params, "simulate", dict[str, simulation.Settings]),
         settings.read(params, "report", summary.Settings),
     )
 
@@ -87,11 +91,14 @@ def test_metrics_have_every_key_of_the_specification(numbers: dict[str, dict]):
         *("simulated", "vehicle", "submaps", "area_km2", "track_km", "sigma_z"),
         *("points_mean", "points_std", "spacing_m"),
     }
-    assert set(numbers["kl"]["borno_8"]["pointnetkl"]) == {"mean", "median", "ci95", "mean_floor0"}
+    assert set(numbers["kl"]["borno_8"]["network"]) == {"mean", "median", "ci95", "mean_floor0", "axis_error_deg"}
+    assert set(numbers["kl"]["borno_8"]["pointnetkl"]) - set(numbers["kl"]["borno_8"]["network"]) == {"network_better"}
     assert set(numbers["calibration"]["borno_8"]["monte_carlo"]) == {
         "nees", "coverage_50", "coverage_90", "coverage_95", "coverage_99"
     }  # fmt: skip
     assert {"training", "validation", "borno_8", "mine"} == set(numbers["kl"])
+    assert set(numbers["kl_by_class"]["borno_8"]["wall"]["network"]) == {"mean", "submaps"}
+    assert set(numbers["calibration_by_class"]["mine"]["rugged"]["network"]) == {"nees", "coverage_95", "submaps"}
     assert numbers["slam"]["borno_8"]["dead_reckoning_edges"] == 17
     assert set(numbers["slam"]["borno_8"]["corrupted"]) == {
         "rmse_xyz_m", "rmse_xyz_ci95_m", "truth_rmse_xyz_m", "map_to_map_m"
@@ -125,8 +132,8 @@ def test_what_is_not_known_of_a_user_s_survey_is_left_out(numbers: dict[str, dic
 def test_numbers_are_those_of_the_metrics_module(folders: results.Folders, numbers: dict[str, dict]):
     labels = results.read_labels(folders, "borno_8")
     test = results.read_test(folders, "borno_8", labels)
-    expected = metrics.kl_summary(labels.q, test.covariances["constant"], 0.01, np.random.default_rng(0))
-    assert numbers["kl"]["borno_8"]["constant"]["mean"] == pytest.approx(expected["mean"], rel=1e-3)
+    expected = metrics.divergence(labels.q, test.covariances["constant"], 0.01).mean()
+    assert numbers["kl"]["borno_8"]["constant"]["mean"] == pytest.approx(expected, rel=1e-3)
     rows = test.slam[test.slam["method"] == "constant"]
     assert numbers["slam"]["borno_8"]["constant"]["rmse_xyz_m"] == pytest.approx(rows["rmse_xyz_m"].mean(), rel=1e-3)
 
@@ -138,10 +145,41 @@ def test_the_label_itself_is_not_listed_as_close_to_the_label(numbers: dict[str,
 def test_an_interval_does_not_change_when_a_method_leaves(folders: results.Folders):
     labels = results.read_labels(folders, "borno_8")
     test = results.read_test(folders, "borno_8", labels)
-    chosen = summary.Settings(seed=9, kl_floor_m2=0.01, cell_factor=2.0)
-    only = dataclasses.replace(test, covariances={"pointnetkl": test.covariances["pointnetkl"]})
-    every, fewer = (summary.divergences("borno_8", labels, each, chosen) for each in (test, only))
-    assert fewer["pointnetkl"] == every["pointnetkl"]
+    chosen = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
+    every = summary.judged(labels, test)
+    only = dataclasses.replace(every, covariances={"pointnetkl": test.covariances["pointnetkl"]})
+    intervals = [summary.divergences("borno_8", each, chosen)["pointnetkl"]["ci95"] for each in (every, only)]
+    assert intervals[0] == intervals[1]
+
+
+def test_terrain_that_only_a_test_survey_has_stands_in_rows_marked_so(made: report.Report, numbers: dict[str, dict]):
+    assert numbers["terrain"]["borno_8"]["wall"]["in_training"] is False
+    assert numbers["terrain"]["borno_8"]["wall"]["submaps"] == 6  # the third line's
+    rows = pd.read_csv(io.BytesIO(made.files["tables/by_class.csv"]))
+    marked = rows[rows["training"] == class_tables.UNSEEN]
+    assert set(zip(marked["survey"], marked["class"], strict=True)) == {("borno_8", "wall")}
+    assert set(marked["method"]) == set(fake_artifacts.METHODS)
+
+
+def test_a_survey_that_nobody_simulated_is_judged_by_its_points(numbers: dict[str, dict]):
+    assert set(numbers["terrain"]["mine"]) <= {"flat", "smooth", "rugged"}
+    assert sum(each["submaps"] for each in numbers["terrain"]["mine"].values()) == 18
+
+
+def test_what_was_trained_at_another_floor_is_left_out_of_table_2(made: report.Report, copy: Path):
+    def row(method: str, files: Mapping[str, bytes]) -> pd.Series:
+        return pd.read_csv(io.BytesIO(files["tables/table_2.csv"])).set_index("method").loc[method]
+
+    assert row("network", made.files)["validation"] == 0.81
+    assert np.isnan(row("constant_train", made.files)["training"])  # fitted at a floor of 0.02
+    artifacts.write_json(copy / "reports/train/network.json", {"kl": {"training": 1, "validation": 2}, "floor_m2": 0.0})
+    assert np.isnan(row("network", make(copy).files)["validation"])
+
+
+def test_a_model_without_its_floor_is_refused(copy: Path):
+    artifacts.write_json(copy / "reports/train/network.json", {"kl": {"training": 1, "validation": 2}})
+    with pytest.raises(results.ResultsError, match=r"network\.json: must have .* floor_m2"):
+        make(copy)
 
 
 def test_the_area_is_the_union_of_footprints():
@@ -185,14 +223,17 @@ def test_covariances_of_other_submaps_than_the_labels_are_refused(copy: Path):
 def test_without_held_out_errors_nothing_is_said_of_calibration(folders: results.Folders):
     labels = results.read_labels(folders, "borno_8")
     test = results.read_test(folders, "borno_8", labels)
-    assert summary.calibrations(labels, dataclasses.replace(test, held_out=test.held_out[:, :0])) == {}
+    of = summary.judged(labels, test)
+    assert summary.calibrations(dataclasses.replace(of, held_out=of.held_out[:, :0])) == {}
 
 
 def test_the_page_stands_alone(made: report.Report):
     page = made.files["index.html"].decode()
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
-    assert page.count("data:image/png") == sum(name.startswith("figures/") for name in made.files)
+    shown = [name for name in made.files if name.startswith("figures/") and not name.startswith("figures/worst/")]
+    ours = {"network", "pointnetkl", "structure_tensor"} & set(fake_artifacts.METHODS)  # whose worst submaps it shows
+    assert page.count("data:image/png") == len(shown) + len(ours)
     assert 'name="viewport"' in page
 
 
@@ -201,6 +242,12 @@ def test_the_page_says_what_is_simulated_and_at_which_scale(made: report.Report)
     assert "Simulated: baltic, borno_1, borno_8." in page
     assert "Measured: mine." in page
     assert "Scale smoke" in page
+
+
+def test_the_page_says_which_copy_the_labels_are_of_and_what_training_has_not_seen(made: report.Report):
+    page = made.files["index.html"].decode()
+    assert "All labels here are of label.copy same." in page
+    assert "Rows marked not in training: borno_8: wall (6 submaps)." in page
 
 
 def test_every_table_names_every_survey_and_never_nan(made: report.Report):
@@ -220,7 +267,13 @@ def test_the_printed_lines_compare_pointnetkl_with_its_rivals(made: report.Repor
 def test_the_report_makes_exactly_the_files_that_dvc_yaml_names(made: report.Report):
     stage = yaml.safe_load((Path(__file__).parents[1] / "dvc.yaml").read_text())["stages"]["report"]
     named = [out if isinstance(out, str) else next(iter(out)) for out in stage["outs"]]
-    assert {f"reports/{name}" for name in made.files} == set(named)
+    written = {re.sub(r"^figures/worst/.*", "figures/worst", name) for name in made.files}
+    assert {f"reports/{name}" for name in written} == set(named)
+
+
+def test_every_method_but_the_labels_own_has_a_page_of_its_worst_submaps(made: report.Report):
+    pages = {name.removesuffix(".png") for name in made.files if name.startswith("figures/worst/")}
+    assert pages == {f"figures/worst/{name}" for name in fake_artifacts.METHODS if name != "monte_carlo"}
 
 
 def test_what_is_read_of_a_table_is_what_its_stage_writes():

@@ -182,7 +182,9 @@ def test_numbers_that_are_not_finite_are_kept(tmp_path: Path):
     assert found.held_out.shape == (0, 2)
 
 
-@pytest.mark.parametrize("spoiled", [{"row": {}}, {"errors": np.zeros((1, 2))}, {"held_out": np.zeros(4)}])
+@pytest.mark.parametrize(
+    "spoiled", [{"row": {}}, {"errors": np.zeros((1, 2))}, {"errors": np.zeros(())}, {"held_out": np.zeros(4)}]
+)
 def test_a_file_of_the_right_name_that_holds_no_whole_label_is_not_believed(survey: Path, spoiled: dict[str, object]):
     expected, _ = shards.labels(job(survey))
     path = survey / "shards" / min(intact(survey))

@@ -8,7 +8,7 @@ import pytest
 
 from pointnetkl import metrics, pose_graph, slam, survey_graph
 from pointnetkl.covariance import gaussian, table
-from toy_survey import graph
+from toy_survey import REGISTRATION, graph
 
 SETTINGS = slam.Settings(3, 4, 0.05, "all", 2, 15.0, 2)
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
@@ -34,6 +34,17 @@ def test_closures_correct_by_their_yaw_even_where_x_and_y_say_nothing():
     rows, _ = benchmark()
     good, useless, corrupted = (errors(rows, name).mean() for name in ("good", "useless", "corrupted"))
     assert good < useless < corrupted
+
+
+def test_with_yaw_a_covariance_that_knows_nothing_corrects_nothing():
+    # the same closures, of which one method is sure, and the other not even of yaw
+    submaps, made = graph(4, 4, apart=6.0, registration=dataclasses.replace(REGISTRATION, dof="xyyaw"))
+    sure = {s.number: np.diag([0.01, 0.01, 1e-5]) for s in submaps}
+    methods = {"good": sure, "useless": {n: 1e8 * q for n, q in sure.items()}}
+    rows, _ = slam.benchmark(made, methods, lambda poses: 1.0, SETTINGS)
+    good, useless, corrupted = (errors(rows, name).mean() for name in ("good", "useless", "corrupted"))
+    assert good < 0.6 * corrupted
+    assert useless == pytest.approx(corrupted, rel=0.01)
 
 
 def test_noise_is_new_in_each_repetition_and_the_same_in_each_run():

@@ -5,16 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pointnetkl import gicp
+import toy_submaps
 from pointnetkl.covariance import fitting, gaussian
 from pointnetkl.covariance import structure_tensor as st
 from pointnetkl.submap import Submap
+from toy_submaps import HOW, HOW_WITH_YAW
 
-REGISTRATION = gicp.Settings(
-    neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
-)
 SETTINGS = fitting.Settings(seed=4, floor_m2=0.01, starts=12)
-METHOD = st.StructureTensor("structure_tensor", c=0.5, gamma=1.2, b_m2=8.0, f_m2=0.003, registration=REGISTRATION)
+METHOD = st.StructureTensor("structure_tensor", c=0.5, gamma=1.2, b_m2=8.0, f_m2=0.003, how=HOW)
 
 
 def seabed(height, *, spacing=2.0, half=40.0, seed=0) -> Submap:
@@ -59,6 +57,27 @@ def test_it_rotates_with_the_submap():
     np.testing.assert_allclose(METHOD.covariance(rotated), R @ METHOD.covariance(submap) @ R.T, rtol=1e-2, atol=1e-4)
 
 
+def test_it_turns_with_the_submap_where_yaw_is_found_too():
+    method = dataclasses.replace(METHOD, how=HOW_WITH_YAW)
+    submap = seabed(lambda x, y: ridge(x, y) + 0.5 * np.cos(y / 5))
+    rotated, _ = turned(submap, 0.7)
+    R = toy_submaps.rotation(0.7, 3)
+    units = np.diag([1, 1, 100])
+    expected, q = (units @ m @ units for m in (R @ method.covariance(submap) @ R.T, method.covariance(rotated)))
+    np.testing.assert_allclose(q, expected, rtol=2e-2, atol=1e-4)
+
+
+def test_a_ridge_and_a_mound_hold_the_yaw_differently():
+    method = dataclasses.replace(METHOD, how=HOW_WITH_YAW)
+    prior = method.how.prior()[2, 2]
+    mound = method.covariance(seabed(lambda x, y: 6 * np.exp(-(x**2 + y**2) / 200)))
+    along = method.covariance(seabed(ridge))
+    flat = method.covariance(seabed(lambda x, y: 0 * x))
+    assert along[2, 2] < 0.01 * prior  # a turned ridge lies across the old one
+    assert mound[2, 2] > 100 * along[2, 2]  # a turned mound is the same mound
+    assert flat[2, 2] == pytest.approx((METHOD.b_m2 + METHOD.f_m2) / 9 * prior, rel=1e-3)
+
+
 def test_flat_ground_gets_the_prior():
     q = METHOD.covariance(seabed(lambda x, y: 0 * x))
     np.testing.assert_allclose(q, (METHOD.b_m2 + METHOD.f_m2) * np.eye(2), rtol=1e-3, atol=1e-3)
@@ -78,9 +97,9 @@ def test_a_wall_does_not_make_the_slope_tensor_infinite():
 def test_the_fit_recovers_the_numbers_that_made_the_labels():
     T = tensors()
     labels = METHOD.from_tensors(T)
-    fit = st.fit_tensors(T, labels, SETTINGS)
+    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
     assert fit.mean_kl < 1e-4
-    fitted = st.from_numbers("structure_tensor", fit.numbers, REGISTRATION).from_tensors(T)
+    fitted = st.from_fit("structure_tensor", fit, HOW).from_tensors(T)
     np.testing.assert_allclose(fitted, labels, rtol=0.05, atol=0.01)
     assert fit.numbers["gamma"] == pytest.approx(METHOD.gamma, rel=0.05)
     assert fit.numbers["b_m2"] == pytest.approx(METHOD.b_m2, rel=0.05)
@@ -89,8 +108,8 @@ def test_the_fit_recovers_the_numbers_that_made_the_labels():
 def test_the_fit_states_the_mean_kl_of_its_own_covariances():
     T = tensors(50)
     labels = METHOD.from_tensors(T[::-1])
-    fit = st.fit_tensors(T, labels, SETTINGS)
-    fitted = st.from_numbers("structure_tensor", fit.numbers, REGISTRATION).from_tensors(T)
+    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
+    fitted = st.from_fit("structure_tensor", fit, HOW).from_tensors(T)
     assert fit.mean_kl == pytest.approx(fitting.mean_kl(labels, fitted, SETTINGS.floor_m2))
 
 
@@ -99,28 +118,28 @@ def test_the_fit_beats_the_constant_on_noisy_labels():
     clean = METHOD.from_tensors(T)
     draws = np.random.default_rng(5).normal(size=(len(T), 30, 2)) @ np.swapaxes(np.linalg.cholesky(clean), 1, 2)
     labels = np.swapaxes(draws, 1, 2) @ draws / 29
-    fit = st.fit_tensors(T, labels, SETTINGS)
+    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
     assert fit.mean_kl < 0.2 * fitting.mean_kl(labels, labels.mean(axis=0), SETTINGS.floor_m2)
 
 
 def test_the_fit_saturates_at_the_prior_when_flat_labels_do():
     T = np.concatenate([tensors(100), np.zeros((100, 2, 2))])
     labels = dataclasses.replace(METHOD, b_m2=9.0, f_m2=1e-4).from_tensors(T)
-    fitted = st.from_numbers("s", st.fit_tensors(T, labels, SETTINGS).numbers, REGISTRATION)
+    fitted = st.from_fit("s", st.fit_tensors(T, HOW.prior(), labels, SETTINGS), HOW)
     np.testing.assert_allclose(fitted.from_tensors(np.zeros((1, 2, 2)))[0], 9 * np.eye(2), rtol=0.01)
 
 
 def test_the_fit_is_the_same_each_time():
     T = tensors(40)
     labels = METHOD.from_tensors(T[::-1])
-    assert st.fit_tensors(T, labels, SETTINGS) == st.fit_tensors(T, labels, SETTINGS)
+    assert st.fit_tensors(T, HOW.prior(), labels, SETTINGS) == st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-9, 1e6])
 def test_the_fit_answers_on_the_flattest_and_the_steepest_ground(scale):
     T = scale * tensors(20)
-    fit = st.fit_tensors(T, np.broadcast_to(np.diag([9.0, 4.0]), (20, 2, 2)), SETTINGS)
-    q = st.from_numbers("s", fit.numbers, REGISTRATION).from_tensors(T)
+    fit = st.fit_tensors(T, HOW.prior(), np.broadcast_to(np.diag([9.0, 4.0]), (20, 2, 2)), SETTINGS)
+    q = st.from_fit("s", fit, HOW).from_tensors(T)
     assert np.isfinite(fit.mean_kl)
     for matrix in q:
         gaussian.check(matrix, "test")

@@ -65,14 +65,14 @@ def test_a_user_s_survey_has_the_same_columns_and_dashes_for_the_paper():
     assert "nan" not in line.lower()
 
 
-def test_table_2_has_training_validation_and_each_test_survey():
-    kl = {"training": 0.02, "validation": 0.05, "borno_8": {"pointnetkl": {"mean": 1.5}}, "mine": {}}
-    (block,) = tables.table_2(kl, DATASETS, ["baltic"])
-    assert block.frame.to_numpy().tolist() == [
-        ["training", True, 0.02, 0.0184],
-        ["validation", True, 0.05, 0.0394],
-        ["borno_8", True, 1.5, 1.0578],
-        ["mine", False, None, None],
+def test_table_2_has_every_method_and_the_paper_s_row_below():
+    kl = {"training": 0.02, "borno_8": {"constant": {"mean": 3.0}, "pointnetkl": {"mean": 1.5}}, "mine": {}}
+    (block,) = tables.table_2(kl, DATASETS, {"pointnetkl": {"training": 0.02, "validation": 0.05}})
+    assert list(block.frame) == ["method", "training", "validation", "borno_8 (simulated)", "mine"]
+    assert text_table.csv(block.frame).splitlines()[1:] == [
+        "constant,,,3.0,",
+        "pointnetkl,0.02,0.05,1.5,",
+        '"pointnetkl, the paper",0.0184,0.0394,1.0578,',
     ]
 
 
@@ -83,6 +83,18 @@ def test_table_3_gives_times_as_ratios_to_our_own_label():
     assert row["times_faster"] == pytest.approx(40)
     assert row["paper_mean_s"] == 0.13
     assert "toy" in block.caption
+
+
+def test_table_3_lists_a_method_that_was_not_timed():
+    (block,) = tables.table_3({"monte_carlo": {"mean_s": 2.0, "std_s": 0.1}}, ["censi", "monte_carlo"])
+    assert list(block.frame["method"]) == ["censi", "monte_carlo"]
+    assert rows(block, method="censi")[0]["mean_s"] is None
+
+
+def test_the_label_s_own_coverage_stands_beside_every_method_s():
+    found = {"mine": {"monte_carlo": {"coverage_95": 0.89}, "constant": {"nees": 1.0, "coverage_95": 0.97}}}
+    (row,) = rows(tables.calibrations(found, DATASETS), method="constant")
+    assert (row["coverage_95"], row["mc_coverage_95"]) == (0.97, 0.89)
 
 
 def test_table_4_has_the_paper_s_row_below_ours_and_says_which_is_simulated():

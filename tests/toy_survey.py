@@ -40,12 +40,19 @@ def _submap(number: int, T_map_submap: np.ndarray, rng: np.random.Generator) -> 
     return Submap("toy", number, points, points[::2], points[1::2])
 
 
-def graph(lines: int = 3, along: int = 4, known: bool = True, apart: float = 10.0) -> tuple[list[Submap], SurveyGraph]:
+def graph(
+    lines: int = 3,
+    along: int = 4,
+    known: bool = True,
+    apart: float = 10.0,
+    registration: gicp.Settings = REGISTRATION,
+) -> tuple[list[Submap], SurveyGraph]:
     """Return submaps and their graph, by navigation that drifts a little; without truth if it is not known."""
     submaps, truth = sail(lines, along, apart)
     navigation = truth.copy()
     navigation[1:, :2, 3] += 0.1 * np.cumsum(np.random.default_rng(2).normal(size=(len(truth) - 1, 2)), axis=0)
-    labels = {s.number: 0.01 * np.eye(2) for s in submaps}
+    q = np.diag([0.01, 0.01, 1e-5][: registration.dimensions])
+    labels = {s.number: q for s in submaps}
     given = truth if known else np.full_like(truth, np.nan)
-    made = graph_construction.build("toy", submaps, navigation, given, labels, SPACING, SETTINGS, REGISTRATION)
+    made = graph_construction.build("toy", submaps, navigation, given, labels, SPACING, SETTINGS, registration)
     return submaps, made

@@ -1,4 +1,7 @@
-"""Run `dvc repro`, and say before which scale runs and after how long each stage took."""
+"""Run `dvc repro`, and say before which scale runs and after how long each stage took.
+
+A simulated survey whose grid is not here is left out: grids are other people's, and do not come with the project.
+"""
 
 import os
 import re
@@ -25,11 +28,38 @@ def main() -> int:
     if not (ROOT / ".git").exists():
         # an unpacked archive: DVC works without git when told so
         subprocess.run([dvc, "config", "--local", "core.no_scm", "true"], env=environment, check=True)
+    leave_out_gridless(ROOT / "params.yaml")
     announce()
     begun = time.monotonic()
     status, seconds = follow([dvc, "repro", *sys.argv[1:]], environment)
     summarise(seconds, time.monotonic() - begun)
     return status
+
+
+def leave_out_gridless(path: Path) -> None:
+    """Make comments of the lines of surveys whose grid is missing, and say so."""
+    params = yaml.safe_load(path.read_text())
+    for name, survey in params["simulate"].items():
+        grid = survey["grid"]
+        if not Path(grid).exists():
+            path.write_text(without(path.read_text(), name))
+            print(
+                f"{grid} is not here, so the survey {name} is left out: its lines in params.yaml are comments now."
+                f"\ndata/grids/README.md says where the grid is from; put it there, then git checkout params.yaml"
+            )
+
+
+def without(text: str, survey: str) -> str:
+    """Return parameters with a survey's line below study.test and its entry below simulate as comments."""
+    lines, section, inside = [], "", False
+    for line in text.splitlines():
+        if re.match(r"\w", line):
+            section = line.split(":")[0]
+        if re.match(r" {0,2}\w", line):
+            inside = section == "simulate" and line.split("#")[0].strip() == f"{survey}:"
+        listed = section == "study" and line.startswith(f"    {survey}: ")
+        lines.append(f"# {line}" if inside or listed else line)
+    return "\n".join(lines) + "\n"
 
 
 def announce() -> None:

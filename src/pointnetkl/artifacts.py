@@ -76,15 +76,23 @@ def write_table(
     write_bytes(path, buffer.getvalue())
 
 
-def read_table(path: Path, schema: pa.Schema, only: Sequence[tuple[str, str, Any]] | None = None) -> pd.DataFrame:
+def read_table(
+    path: Path,
+    schema: pa.Schema,
+    only: Sequence[tuple[str, str, Any]] | None = None,
+    also: pa.Schema | None = None,
+) -> pd.DataFrame:
     """Read a table and check its columns; `only` keeps rows, as [("ping", "<", 100)] does.
+
+    The columns of `also` are read with those of the schema where the file has one of them: then it must have all.
 
     Raises:
         ArtifactError: the file is missing or damaged, or lacks a column of the schema or values in one.
     """
     rows = list(only) if only else None
     table = _guarded(path, lambda: pq.read_table(path, filters=rows, page_checksum_verification=True))
-    return _checked(path, table, schema)
+    further = also is not None and not set(also.names).isdisjoint(_guarded(path, lambda: table.column_names))
+    return _checked(path, table, pa.schema([*schema, *also]) if also is not None and further else schema)
 
 
 def read_groups(path: Path, schema: pa.Schema) -> Iterator[pd.DataFrame]:

@@ -1,14 +1,15 @@
 """What the network learns from: canonical clouds and Monte Carlo labels of the training surveys."""
 
+import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from pointnetkl import artifacts, voxel
+from pointnetkl import artifacts, compute, submap, voxel
 from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
 
@@ -29,6 +30,7 @@ class Samples:
     clouds: list[np.ndarray]  # k of (n, 3) float32, canonical
     radius: np.ndarray  # (k,) metres
     label: np.ndarray  # (k, M, M) m^2
+    described: np.ndarray | None = None  # (k, D) float32, of the submaps' own points, where a model asks for it
 
     def __len__(self) -> int:
         """Return the number of submaps."""
@@ -37,7 +39,8 @@ class Samples:
     def take(self, which: np.ndarray) -> "Samples":
         """Return the submaps at the given indices."""
         clouds = [self.clouds[i] for i in which]
-        return Samples(self.survey[which], self.submap[which], clouds, self.radius[which], self.label[which])
+        described = None if self.described is None else self.described[which]
+        return Samples(self.survey[which], self.submap[which], clouds, self.radius[which], self.label[which], described)
 
 
 def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
@@ -60,6 +63,20 @@ def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
     return _join(parts), voxels[0]
 
 
+def described(folder: Path, samples: Samples, describe: Callable[[np.ndarray], np.ndarray]) -> Samples:
+    """Return samples with what `describe` says of each submap's own points (n, 3), metres, in its frame.
+
+    Raises:
+        DatasetError, ArtifactError: a survey's submaps.parquet is missing, damaged or of other submaps.
+    """
+    points = [
+        each
+        for name in dict.fromkeys(map(str, samples.survey))
+        for each in _points(folder / name, name, samples.submap[samples.survey == name])
+    ]
+    return dataclasses.replace(samples, described=np.stack(compute.in_threads(describe, points, "describe")))
+
+
 def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Samples, Samples]:
     """Return submaps to train on and to validate on, the latter in blocks along each survey's track.
 
@@ -78,14 +95,23 @@ def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Sampl
     return samples.take(np.flatnonzero(~held_back)), samples.take(np.flatnonzero(held_back))
 
 
-def draw(samples: Samples, which: np.ndarray, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw(
+    samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Return as many random points of each chosen cloud (b, points, 3), float32, and the radii (b,), float32.
 
     A point comes twice only where the cloud has fewer: nothing is padded, so no batch norm sees what is not there.
+    None: all points, of clouds that have the same number of them.
     """
     clouds = [samples.clouds[i] for i in which]
-    chosen = [c[rng.choice(len(c), points, replace=len(c) < points, shuffle=False)] for c in clouds]
-    return np.stack(chosen), samples.radius[which].astype(np.float32)
+    if points is not None:
+        clouds = [c[rng.choice(len(c), points, replace=len(c) < points, shuffle=False)] for c in clouds]
+    return np.stack(clouds), samples.radius[which].astype(np.float32)
+
+
+def parts(which: np.ndarray, size: int) -> list[np.ndarray]:
+    """Return indices in parts of about equal length, none longer than `size`."""
+    return np.array_split(which, -(-len(which) // size))
 
 
 def _read_survey(folder: Path, name: str) -> tuple[Samples, float]:
@@ -95,7 +121,7 @@ def _read_survey(folder: Path, name: str) -> tuple[Samples, float]:
             raise DatasetError(f"{path}: is missing, but study.train names {name}; run dvc repro gather@{name}")
     arrays, metadata = artifacts.read_arrays(clouds_path)
     clouds = voxel.Clouds.from_arrays(arrays, str(clouds_path))
-    labels = artifacts.read_table(labels_path, LABEL)
+    labels = artifacts.read_table(labels_path, LABEL, also=table.YAW)
     if clouds.submap.tolist() != labels["submap"].tolist():
         raise DatasetError(
             f"{folder}: clouds.npz has {len(clouds)} submaps, not those of the {len(labels)} labels in"
@@ -124,6 +150,14 @@ def _join(parts: Sequence[Samples]) -> Samples:
         np.concatenate([part.radius for part in parts]),
         np.concatenate([part.label for part in parts]),
     )
+
+
+def _points(folder: Path, name: str, numbers: np.ndarray) -> list[np.ndarray]:
+    path = folder / "submaps.parquet"
+    submaps = submap.from_table(name, artifacts.read_table(path, submap.POINTS))
+    if [s.number for s in submaps] != numbers.tolist():
+        raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro gather@{name}")
+    return [s.points for s in submaps]
 
 
 def _held_back(name: str, count: int, share: float, blocks: int, seed: int) -> np.ndarray:

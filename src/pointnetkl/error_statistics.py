@@ -3,43 +3,45 @@
 import numpy as np
 
 _SINGULAR = 1e-12  # determinant of a correlation that rounding alone may give errors on a line
-_DIRECTIONS = 90  # in which a variance's error is looked at: it is smooth between them
+_DIRECTIONS = {2: 90, 3: 1000}  # in which a variance's error is looked at, by M: it is smooth between them
 _SMALLEST_SIGMA_M = (
     0.05  # of a basin, which reaches three of these: registrations nearer are in it, however tight the rest
 )
 
 
 def standard_errors(errors: np.ndarray) -> np.ndarray:
-    """Return the standard errors of the covariance's xx, xy and yy, m^2, by the errors' (L, 2) fourth moments."""
+    """Return the standard errors (M, M) of the covariance's entries, by the errors' (L, M) fourth moments."""
     rows, columns = np.triu_indices(errors.shape[1])
-    return np.asarray((errors[:, rows] * errors[:, columns]).std(axis=0) / np.sqrt(len(errors)))
+    found = np.empty(2 * errors.shape[1:])
+    found[rows, columns] = (errors[:, rows] * errors[:, columns]).std(axis=0) / np.sqrt(len(errors))
+    found[columns, rows] = found[rows, columns]
+    return found
 
 
 def relative_error(errors: np.ndarray) -> float:
     """Return the largest standard error of a variance u^T Q u over all directions u, as a share of that variance.
 
     By fourth moments of w = u^T e: sqrt((E w^4 / (E w^2)^2 - 1) / L) (Cramér 1946, 27.4), so sqrt(2 / L) for Gaussian
-    errors. No linear change of coordinates changes it. Infinite where the errors (L, 2) lie on a line.
+    errors. No linear change of coordinates changes it. Infinite where the errors (L, M) lie on a line or plane.
     """
     q = errors.T @ errors / len(errors)
     if np.linalg.det(q) <= _SINGULAR * np.prod(np.diag(q)):
         return float("inf")
     whitened = np.linalg.solve(np.linalg.cholesky(q), errors.T)
-    x, y = whitened
-    products = np.stack([x * x, x * y, y * y])
-    angle = np.linspace(0, np.pi, _DIRECTIONS, endpoint=False)
-    c, s = np.cos(angle), np.sin(angle)
-    weights = np.stack([c * c, 2 * c * s, s * s])  # of the products, in the square of c x + s y
+    rows, columns = np.triu_indices(len(whitened))
+    products, u = whitened[rows] * whitened[columns], _directions(len(whitened))
+    weights = u[rows] * u[columns] * np.where(rows == columns, 1, 2)[:, None]  # of the products, in (u^T e)^2
     fourth = np.einsum("id,ij,jd->d", weights, products @ products.T / len(errors), weights)
     return float(np.sqrt(max(fourth.max() - 1, 0) / len(errors)))
 
 
 def main_basin_share(errors: np.ndarray) -> float:
-    """Return the share of errors (L, 2) within three robust sigmas of the main mode: 0.99 for a Gaussian.
+    """Return the share of errors (L, M) with x, y within three robust sigmas of the main mode: 0.99 for a Gaussian.
 
     Along each principal axis the mode and sigma are those of the shortest interval that holds half of the errors
     (Rousseeuw's shortest half), so a second basin moves neither as long as it holds under half of them.
     """
+    errors = errors[:, :2]  # yaw starts near the truth, and has no second basin of its own
     axes = np.linalg.eigh(errors.T @ errors)[1]
     along = errors @ axes
     ordered, half = np.sort(along, axis=0), len(along) // 2
@@ -47,3 +49,13 @@ def main_basin_share(errors: np.ndarray) -> float:
     low, high = ordered[starts, (0, 1)], ordered[starts + half, (0, 1)]
     sigma = np.maximum((high - low) / (2 * 0.6745), _SMALLEST_SIGMA_M)  # 0.6745: a Gaussian's upper quartile
     return float(np.mean(np.linalg.norm((along - (low + high) / 2) / sigma, axis=1) <= 3))
+
+
+def _directions(dimensions: int) -> np.ndarray:
+    """Return unit vectors (M, d) spread evenly over half a circle or, by Fibonacci's spiral, over half a sphere."""
+    count = _DIRECTIONS[dimensions]
+    if dimensions == 2:
+        angle = np.linspace(0, np.pi, count, endpoint=False)
+        return np.stack([np.cos(angle), np.sin(angle)])
+    z, angle = (np.arange(count) + 0.5) / count, np.arange(count) * np.pi * (3 - np.sqrt(5))
+    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])

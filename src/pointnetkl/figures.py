@@ -1,16 +1,36 @@
 """The figures of a report: what of the results each one shows."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pointnetkl import label_plots, label_study, maps, plots, pose, results, voxel
+from pointnetkl import (
+    cases,
+    ellipse_plots,
+    label_plots,
+    label_study,
+    maps,
+    method_plots,
+    pareto_plots,
+    pose,
+    reliability_plots,
+    results,
+    summary,
+    voxel,
+)
 from pointnetkl.results import Folders, Test
 
-SHOWN = ("gt", "corrupted", "monte_carlo", "pointnetkl")  # trajectories, as far as they are there
+# What is shown of trajectories, and of ellipses beside the label's: the first of each that is there
+_SHOWN = (("gt",), ("corrupted",), ("monte_carlo",), ("network", "pointnetkl"))
+_COMPARED = (("network", "pointnetkl"), ("structure_tensor",), ("censi_calibrated", "naive_gicp"))
+_SUBMAPS_ACROSS, _WORST = 4, 10
+_RELIABLE = (
+    *("monte_carlo", "network", "pointnetkl", "structure_tensor", "cello"),
+    *("censi_calibrated", "unscented", "constant", "naive_gicp"),
+)
 _SWATH_M = (500.0, 40.0)  # of the paper's Fig. 2
 _STEP_M = 50.0  # between the stretches looked at for one that is straight
 _CANONICAL = ("baltic", "borno_1")  # of the paper's Fig. 3
@@ -49,13 +69,12 @@ def canonical(clouds: Mapping[str, voxel.Clouds], rng: np.random.Generator) -> F
     return maps.canonical({name: _some(clouds[name].points, _CANONICAL_POINTS, rng) for name in names})
 
 
-def bathymetry(folders: Folders, tests: Mapping[str, Test], spacing_m: Mapping[str, float]) -> Figure:
+def bathymetry(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> Figure:
     """Draw the test surveys' depth maps: every submap at its GT pose; `spacing_m` is that of their points."""
     placed = {}
-    for name, test in tests.items():
-        clouds, _ = results.read_points(folders, name)
-        points = [pose.transform(T, cloud) for T, cloud in zip(test.gt, clouds, strict=True)]
-        placed[name] = (np.concatenate(points), spacing_m[name])
+    for survey in surveys:
+        points = [pose.transform(T, cloud) for T, cloud in zip(survey.test.gt, survey.clouds, strict=True)]
+        placed[survey.name] = (np.concatenate(points), spacing_m[survey.name])
     return maps.bathymetry(placed)
 
 
@@ -81,19 +100,52 @@ def charts(
 ) -> Iterator[tuple[str, Figure]]:
     """Yield the charts of the test surveys' tables (`tables.divergences` and so on), by name."""
     seconds = {name: times["mean_s"] for name, times in runtime.items() if "mean_s" in times}
-    yield "kl", plots.divergence(kl)
-    yield "calibration", plots.calibration(calibration)
-    yield "slam", plots.slam_error(slam[~slam["method"].isin(["gt"])])
-    yield "accuracy_time", plots.accuracy_time(kl, seconds)
+    yield "kl", method_plots.divergence(kl)
+    yield "calibration", method_plots.calibration(calibration)
+    yield "slam", method_plots.slam_error(slam)
+    yield "accuracy_time", pareto_plots.accuracy_time(kl, seconds)
+
+
+def submaps(surveys: Sequence[cases.Survey]) -> Figure:
+    """Draw some submaps of each test survey from flat to rugged, with the ellipses of labels and of a few methods."""
+    there = set().union(*(survey.test.covariances for survey in surveys))
+    methods = _first_there(_COMPARED, there)
+    return ellipse_plots.gallery(
+        {survey.name: cases.flat_to_rugged(survey, methods, _SUBMAPS_ACROSS) for survey in surveys}
+    )
+
+
+def worst(surveys: Sequence[cases.Survey]) -> Iterator[tuple[str, Figure]]:
+    """Yield each method's page of the submaps that it is most wrong about, by the method's name."""
+    methods = dict.fromkeys(method for survey in surveys for method in survey.test.covariances)
+    for method in methods:
+        if method != summary.GOLD:  # the labels themselves
+            yield method, ellipse_plots.worst(method, cases.worst(surveys, method, _WORST))
+
+
+def reliability(surveys: Sequence[cases.Survey]) -> Figure:
+    """Draw the coverage of the main methods' ellipses on errors that no label has seen, at every level."""
+    tables = [
+        reliability_plots.coverage(
+            each.name, each.test.held_out, {summary.GOLD: each.labels.q, **each.test.covariances}, _RELIABLE
+        )
+        for each in surveys
+        if each.test.held_out.size
+    ]
+    return reliability_plots.reliability(pd.concat([reliability_plots.EMPTY, *tables]))
 
 
 def _graph(test: Test) -> maps.Graph:
     rows = {str(which): part for which, part in test.trajectories.groupby("which")}
     positions = {
-        which: rows[which].sort_values("submap")[["x_m", "y_m"]].to_numpy() for which in SHOWN if which in rows
+        which: rows[which].sort_values("submap")[["x_m", "y_m"]].to_numpy() for which in _first_there(_SHOWN, rows)
     }
     before = np.arange(len(test.gt) - 1)
     return maps.Graph(positions, np.stack([before, before + 1], -1), test.loop_closures)
+
+
+def _first_there(choices: Sequence[Sequence[str]], there: Container[str]) -> list[str]:
+    return [next(name for name in names if name in there) for names in choices if any(name in there for name in names)]
 
 
 def _some(points: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:

@@ -42,7 +42,7 @@ def truth_at(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
 
 
 def label_covariances(labels: pd.DataFrame, survey: str) -> dict[int, np.ndarray]:
-    """Return the Monte Carlo covariances (2, 2) in m^2 of a table of labels, by submap.
+    """Return the Monte Carlo covariances (M, M) of a table of labels, by submap.
 
     Raises:
         CovarianceError: one of them is not a covariance.
@@ -66,14 +66,14 @@ def build(
 ) -> SurveyGraph:
     """Return a survey's graph: GT from navigation (n, 4, 4), then Algorithm 1 on the GT poses.
 
-    `labels` are the Monte Carlo covariances (2, 2) in m^2 by submap; `spacing` is that of neighbouring points, in
+    `labels` are the Monte Carlo covariances (M, M) by submap; `spacing` is that of neighbouring points, in
     metres.
     """
     number = np.array([s.number for s in submaps], np.int64)
     found = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
     q = survey_graph.edge_covariances(number, labels, found, f"{survey}, labels")
     gt = optimise_navigation(navigation, found, q, settings)
-    perturbations = loop_closure.starts(survey, submaps, settings)
+    perturbations = loop_closure.starts(survey, submaps, settings, registration.dimensions)
     closures = loop_closure.close(submaps, gt, perturbations, spacing, settings, registration)
     noise = (settings.dead_reckoning, settings.loop_closure)
     return SurveyGraph(survey, number, navigation, gt, truth, closures, *noise)
@@ -82,7 +82,7 @@ def build(
 def optimise_navigation(
     navigation: np.ndarray, closures: Closures, q: np.ndarray, settings: loop_closure.Settings
 ) -> np.ndarray:
-    """Return "GT" (n, 4, 4): navigation optimised with loop closures of covariances q (e, 2, 2) in m^2."""
-    covariances = pose_graph.closure_covariances(q, settings.loop_closure)
+    """Return "GT" (n, 4, 4): navigation optimised with loop closures of covariances q (e, M, M)."""
+    covariances = pose_graph.closure_covariances(q, settings.loop_closure, closures.levers)
     graph = pose_graph.PoseGraph(navigation[0], closures.edges, covariances)
     return graph.optimise(pose_graph.between(navigation), settings.dead_reckoning, navigation)

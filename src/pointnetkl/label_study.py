@@ -68,7 +68,7 @@ def growth(noises: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def _by_runs(of: pd.DataFrame) -> Iterator[dict[str, float]]:
-    q, runs = table.to_matrices(of), of["runs"].to_numpy()
+    q, runs = table.to_matrices(of)[:, :2, :2], of["runs"].to_numpy()
     everything, whole = int(runs.max()), q[runs.argmax()]
     axes = np.linalg.eigh(whole)[1]
     true = np.einsum("ia,ij,ja->a", axes, whole, axes)
@@ -95,5 +95,5 @@ def _labels(rows: pd.DataFrame, usual: str) -> pd.DataFrame:
 
 
 def _with_eigenvalues(rows: pd.DataFrame) -> pd.DataFrame:
-    values = np.linalg.eigvalsh(table.to_matrices(rows))
+    values = np.linalg.eigvalsh(table.to_matrices(rows)[:, :2, :2])
     return rows.assign(**{f"{side}_m2": values[:, i] for i, side in enumerate(SIDES)}).reset_index(drop=True)

@@ -40,7 +40,8 @@ def quality(labels: pd.DataFrame) -> dict[str, float]:
 
 def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float, target: float | None = None) -> list[str]:
     """Return what to print of a survey's labels (monte_carlo.LABELS): eigenvalue quantiles and warnings."""
-    smaller, larger = np.linalg.eigvalsh(table.to_matrices(labels)).T
+    q = table.to_matrices(labels)
+    smaller, larger = np.linalg.eigvalsh(q[:, :2, :2]).T
     percent = " ".join(f"{100 * share:8.0f}%" for share in paper.QUANTILES)
     text = [f"eigenvalues of the labels, m^2  {percent}"]
     text += [
@@ -51,6 +52,8 @@ def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float, target: float
     if known is not None:
         # a loose guide, never a goal: those predictions were 1.06 and 1.99 nats off
         text += [_line(f"  {name}, authors' network", v) for name, v in paper.EIGENVALUES[known].items()]
+    if q.shape[1] == 3:
+        text.append(_line(f"  sigma of yaw in rad, {survey}", np.sqrt(np.quantile(q[:, 2, 2], paper.QUANTILES))))
     return text + _quality(labels) + _target(labels, target) + _warnings(survey, labels, prior_sigma_m)
 
 

@@ -29,6 +29,7 @@ class Settings:
     overlap_factor: float | None
     dead_reckoning: DeadReckoningNoise
     loop_closure: ClosureNoise
+    prior_yaw_sigma_rad: float = 0.03
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense.
@@ -36,10 +37,10 @@ class Settings:
         Raises:
             LoopClosureError: a setting is out of its range.
         """
-        if not (0 < self.coverage <= 1 and self.prior_variance_m2 >= 0):
+        if not (0 < self.coverage <= 1 and min(self.prior_variance_m2, self.prior_yaw_sigma_rad) >= 0):
             raise LoopClosureError(
-                f"graph.coverage is {self.coverage} and prior_variance_m2 {self.prior_variance_m2};"
-                " they must be in (0, 1] and not negative"
+                f"graph.coverage is {self.coverage}, prior_variance_m2 {self.prior_variance_m2} and"
+                f" prior_yaw_sigma_rad {self.prior_yaw_sigma_rad}; they must be in (0, 1] and not negative"
             )
         if self.cell_factor <= 0 or (self.overlap_factor is not None and self.overlap_factor <= 0):
             raise LoopClosureError(
@@ -48,12 +49,12 @@ class Settings:
             )
 
 
-def starts(survey: str, submaps: Sequence[Submap], settings: Settings) -> np.ndarray:
-    """Return each submap's perturbation (n, 2) before it is registered, a draw from N(0, a I) in metres."""
+def starts(survey: str, submaps: Sequence[Submap], settings: Settings, dimensions: int = 2) -> np.ndarray:
+    """Return each submap's perturbation (n, M) before it is registered: a draw from N(0, a I) in metres, and of yaw."""
     sigma = np.sqrt(settings.prior_variance_m2)
+    sigmas = np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
     key = zlib.crc32(survey.encode())
-    draws = [np.random.default_rng([settings.seed, key, s.number]).normal(0.0, sigma, 2) for s in submaps]
-    return np.array(draws)
+    return np.array([np.random.default_rng([settings.seed, key, s.number]).normal(0.0, sigmas) for s in submaps])
 
 
 def close(
@@ -69,8 +70,8 @@ def close(
     Args:
         submaps: the n nodes in the order of the track.
         poses: T_map_submap (n, 4, 4).
-        perturbations: (n, 2) metres; None starts each registration where dead reckoning from the submap before,
-            as corrected, would have it: what a vehicle does when its poses drift.
+        perturbations: (n, M) metres, and radians about the submap's mean; None starts each registration where dead
+            reckoning from the submap before, as corrected, would have it: what a vehicle does when its poses drift.
         spacing: of neighbouring points in metres, the unit of `cell_factor` and `overlap_factor`.
         settings: coverage asked for, and those factors.
         registration: of GICP.
@@ -84,14 +85,19 @@ def close(
         )
     front = _FrontEnd(spacing, settings, registration)
     for i in compute.progress(range(len(submaps)), "loop closures", len(submaps)):
-        drift = front.correction if perturbations is None else np.zeros(2)
-        perturbation = np.zeros(2) if perturbations is None else perturbations[i]
+        drift = front.correction if perturbations is None else np.zeros(3)
+        perturbation = np.zeros(3)
+        if perturbations is not None:
+            perturbation[: registration.dimensions] = perturbations[i]
         front.add(submaps[i].points, poses[i], drift, perturbation)
     return front.closures()
 
 
 class _FrontEnd:
-    """The map as it grows: S_graph of Algorithm 1."""
+    """The map as it grows: S_graph of Algorithm 1.
+
+    A motion (3,) in the map frame is p -> R(yaw) p + (x, y), as x, y, yaw; without yaw R is exactly the identity.
+    """
 
     def __init__(self, spacing: float, settings: Settings, registration: gicp.Settings) -> None:
         self._footprints = footprint.Footprints(settings.cell_factor * spacing)
@@ -99,25 +105,29 @@ class _FrontEnd:
         self._reach = None if settings.overlap_factor is None else settings.overlap_factor * spacing
         self._clouds: list[np.ndarray] = []
         self._T_map: list[np.ndarray] = []
+        self._centroids: list[np.ndarray] = []
         self._edges: list[tuple[int, int, int, np.ndarray]] = []
         self._registered: list[tuple[int, np.ndarray, np.ndarray, bool]] = []
         self._rejected: list[int] = []
-        self.correction = np.zeros(2)  # of the submap added last, metres in the map frame
+        self.correction = np.zeros(3)  # the motion of the submap added last
 
     def add(self, points: np.ndarray, T: np.ndarray, drift: np.ndarray, perturbation: np.ndarray) -> None:
-        """Add the next submap, with pose T, shifted by `drift`; register it if it closes a loop."""
+        """Add the next submap, with pose T, moved by `drift`; register it if it closes a loop."""
         i = len(self._clouds)
-        cloud = pose.transform(_shifted(T, drift), points)
+        cloud = pose.transform(_moved_pose(T, drift), points)
         targets = self._footprints.covering(cloud, self._share, among=i - 1)  # never S_{i-1}
-        found = self._register(cloud, targets, perturbation) if len(targets) else None
-        self.correction = drift if found is None else drift + found.translation
-        self._place(cloud + np.append(self.correction - drift, 0.0), _shifted(T, self.correction))
-        if found is not None:
-            self._connect(i, targets, drift + perturbation, found.converged)
+        outcome = self._register(cloud, targets, perturbation) if len(targets) else None
+        self.correction = drift if outcome is None else _then(drift, outcome[0])
+        self._centroids.append(points[:, :2].mean(axis=0))
+        self._place(_moved(cloud, _since(drift, self.correction)), _moved_pose(T, self.correction))
+        if outcome is not None:
+            start = _then(drift, _about(perturbation, cloud.mean(axis=0)))
+            self._connect(i, targets, [_shift(T, motion) for motion in (start, self.correction)], outcome[1])
         elif len(targets):
             self._rejected.append(i)
 
-    def _register(self, cloud: np.ndarray, targets: np.ndarray, start: np.ndarray) -> gicp.Registration | None:
+    def _register(self, cloud: np.ndarray, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """Return the motion that lays the cloud on its targets, and whether it converged; None without a match."""
         origin = cloud.mean(axis=0)  # keeps the numbers of the registration small
         fused, moving = np.concatenate([self._clouds[k] for k in targets]) - origin, cloud - origin
         if self._reach is not None:
@@ -126,24 +136,26 @@ class _FrontEnd:
             return None
         target = gicp.prepare(fused, self._registration)
         source = gicp.prepare(moving, self._registration)
-        outcome = gicp.register(source, target, self._registration, (float(start[0]), float(start[1])))
-        return outcome if outcome.matched_share > 0 else None
+        outcome = gicp.register(source, target, self._registration, _about(start, -target.centre))
+        found = np.array([*outcome.translation, outcome.yaw])
+        return (_about(found, origin + target.centre), outcome.converged) if outcome.matched_share > 0 else None
 
     def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
         self._footprints.add(cloud)
         self._clouds.append(cloud)
         self._T_map.append(T)
 
-    def _connect(self, i: int, targets: np.ndarray, start: np.ndarray, converged: bool) -> None:
-        # x, y from the registration; z and rotation are those handed in, because only x, y were corrected
+    def _connect(self, i: int, targets: np.ndarray, shifts: list[np.ndarray], converged: bool) -> None:
+        # x, y and with xyyaw yaw from the registration; the rest is that handed in, because it was not corrected
         for k in targets:
             measured = np.linalg.inv(self._T_map[k]) @ self._T_map[i]
             self._edges.append((int(k), i, len(self._registered), measured))
-        self._registered.append((i, start, self.correction, converged))
+        start, correction = shifts
+        self._registered.append((i, start, correction, converged))
 
     def closures(self) -> Closures:
         """Return what was found."""
-        edges, registered = self._edges, self._registered
+        edges, registered, m = self._edges, self._registered, self._registration.dimensions
         return Closures(
             edges=Edges(
                 target=np.array([e[0] for e in edges], np.int64),
@@ -152,21 +164,48 @@ class _FrontEnd:
             ),
             registration=np.array([e[2] for e in edges], np.int64),
             node=np.array([r[0] for r in registered], np.int64),
-            start=np.array([r[1] for r in registered]).reshape(-1, 2),
-            correction=np.array([r[2] for r in registered]).reshape(-1, 2),
+            start=np.array([r[1] for r in registered]).reshape(-1, 3)[:, :m],
+            correction=np.array([r[2] for r in registered]).reshape(-1, 3)[:, :m],
             converged=np.array([r[3] for r in registered], bool),
             rejected=np.array(self._rejected, np.int64),
+            centroid=np.array(self._centroids).reshape(-1, 2) if m == 3 else None,
         )
 
 
 def _over(moving: np.ndarray, fixed: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray:
     # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
     # drag a half-covered submap right across the target.
-    distance, _ = cKDTree(fixed[:, :2]).query(moving[:, :2] + start, distance_upper_bound=reach)
+    distance, _ = cKDTree(fixed[:, :2]).query(_moved(moving, start)[:, :2], distance_upper_bound=reach)
     return moving[np.isfinite(distance)]
 
 
-def _shifted(T: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def _moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    return np.column_stack([pose.turned(points[:, :2], motion[2]) + motion[:2], points[:, 2]])
+
+
+def _moved_pose(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
     moved = T.copy()
-    moved[:2, 3] += shift
+    moved[:2] = pose.turned(T[:2].T, motion[2]).T
+    moved[:2, 3] += motion[:2]
     return moved
+
+
+def _shift(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return what a motion changes of a pose: its x, y and yaw."""
+    return np.array([*motion[:2] + (pose.turned(T[:2, 3], motion[2]) - T[:2, 3]), motion[2]])
+
+
+def _then(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the motion that is first and then second."""
+    return np.array([*pose.turned(first[:2], second[2]) + second[:2], first[2] + second[2]])
+
+
+def _since(first: np.ndarray, both: np.ndarray) -> np.ndarray:
+    """Return the motion that makes first both."""
+    yaw = both[2] - first[2]
+    return np.array([*both[:2] - pose.turned(first[:2], yaw), yaw])
+
+
+def _about(motion: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return, about the origin, a motion that turns about a centre (2 or 3,)."""
+    return np.array([*motion[:2] + (centre[:2] - pose.turned(centre[:2], motion[2])), motion[2]])

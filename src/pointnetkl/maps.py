@@ -104,7 +104,8 @@ def raster(points: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[float,
 def _shade(depth: np.ndarray, extent: tuple[float, float, float, float]) -> np.ndarray:
     # light from the north-west: where a cliff takes all the colours, flat ground still shows its forms
     cell = (extent[1] - extent[0]) / depth.shape[1]
-    return np.asarray(LightSource(315, 40).hillshade(-depth, vert_exag=4, dx=cell, dy=cell))
+    # turned over, because LightSource takes the first row for the northernmost
+    return np.asarray(LightSource(315, 40).hillshade(-depth[::-1], vert_exag=4, dx=cell, dy=cell))[::-1]
 
 
 def _grid(sizes: Sequence[tuple[float, float]], extra_in: float) -> tuple[Figure, np.ndarray]:

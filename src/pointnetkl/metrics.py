@@ -1,4 +1,4 @@
-"""What estimates are judged by: trajectory error, divergence, NEES and coverage, and intervals by bootstrap."""
+"""What estimates are judged by: trajectory error, divergence, axes, NEES and coverage, and intervals by bootstrap."""
 
 import numpy as np
 from scipy import stats
@@ -7,7 +7,9 @@ from pointnetkl.covariance import gaussian
 from pointnetkl.errors import PointNetKLError
 
 COVERAGES = (0.50, 0.90, 0.95, 0.99)
+FEWEST = 5  # values that an interval is drawn from: of fewer it would tell nothing
 _DRAWS = 2000  # of the bootstrap
+_ROUND = 1e-9  # less anisotropy than this is rounding
 
 
 class MetricsError(PointNetKLError):
@@ -30,33 +32,76 @@ def align_se2(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.column_stack([centred @ R.T + b.mean(axis=0), estimate[:, 2]])
 
 
-def mean_ci95(values: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval (percentiles) of the mean of values (n,).
+def resamples(count: int, rng: np.random.Generator, block: int = 1) -> np.ndarray:
+    """Return which of `count` values each draw of a bootstrap takes, (draws, count) indices.
+
+    Values are taken in runs of `block` neighbours, the first after the last, because neighbours may tell the same; a
+    run is at most a quarter of the values, or every draw would hold the same ones.
 
     Raises:
         MetricsError: there are no values.
     """
-    if len(values) == 0:
+    if count == 0:
         raise MetricsError("an interval of no values was asked for; there must be at least one")
-    means = [rng.choice(values, len(values)).mean() for _ in range(_DRAWS)]
-    low, high = np.percentile(means, [2.5, 97.5])
+    length = max(1, min(block, count // 4))
+    starts = rng.integers(count, size=(_DRAWS, -(-count // length)))
+    runs = (starts[:, :, None] + np.arange(length)) % count
+    return runs.reshape(_DRAWS, -1)[:, :count]
+
+
+def mean_ci95(values: np.ndarray, draws: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval (percentiles) of the mean of values (n,); `draws` are resamples."""
+    low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)
 
 
-def kl_summary(
-    labels: np.ndarray, q: np.ndarray, floor: float, rng: np.random.Generator
-) -> dict[str, float | list[float]]:
-    """Summarise KL(label || Q) in nats over covariances (n, 2, 2); `floor` in m^2 is added to both.
+def share_better(values: np.ndarray, rivals: np.ndarray, draws: np.ndarray) -> float:
+    """Return the share of draws in which the mean of values (n,) is below that of rivals (n,) of the same things."""
+    return float(np.mean((values - rivals)[draws].mean(axis=1) < 0))
 
-    Returns mean, median, ci95 (of the mean, by bootstrap over submaps) and mean_floor0, without the floor.
+
+def divergence(labels: np.ndarray, q: np.ndarray, floor: float) -> np.ndarray:
+    """Return KL(label || Q) (n,) in nats of covariances (n, M, M); `floor` in m^2 is added to both."""
+    return gaussian.kl_divergence(gaussian.with_floor(labels, floor), gaussian.with_floor(q, floor))
+
+
+def kl_summary(
+    labels: np.ndarray, q: np.ndarray, floor: float, draws: np.ndarray
+) -> dict[str, float | tuple[float, float] | None]:
+    """Summarise how far covariances q are from labels, both (n, M, M); `floor` in m^2 is added to both.
+
+    Returns mean, median and ci95 (of the mean, by the bootstrap's `draws`; None of few) of KL(label || Q) in nats,
+    mean_floor0, without the floor, and axis_error_deg (`axis_error`).
     """
-    kl = gaussian.kl_divergence(gaussian.with_floor(labels, floor), gaussian.with_floor(q, floor))
+    kl = divergence(labels, q, floor)
     return {
         "mean": float(kl.mean()),
         "median": float(np.median(kl)),
-        "ci95": list(mean_ci95(kl, rng)),
-        "mean_floor0": float(gaussian.kl_divergence(labels, q).mean()),
+        "ci95": mean_ci95(kl, draws) if len(kl) >= FEWEST else None,
+        "mean_floor0": float(divergence(labels, q, 0.0).mean()),
+        "axis_error_deg": float(np.rad2deg(axis_error(gaussian.with_floor(labels, floor), q))),
     }
+
+
+def axis_error(labels: np.ndarray, q: np.ndarray) -> float:
+    """Return the mean angle, radians from 0 to pi/2, between the major axes in x, y of labels and q (n, M, M).
+
+    Each counts by its label's anisotropy (a - b) / (a + b), a and b the eigenvalues in x, y: a round label has no axis
+    to miss. A round q has none to compare: pi/4, what a guess misses by on average. NaN where all labels are round.
+    """
+    wanted, given = _elongation(labels), _elongation(q)
+    between = np.abs(np.angle(given * wanted.conj())) / 2
+    weight = np.abs(wanted)
+    total = weight.sum()
+    if not total > 0:
+        return float("nan")
+    return float(weight @ np.where(np.abs(given) > _ROUND, between, np.pi / 4) / total)
+
+
+def _elongation(q: np.ndarray) -> np.ndarray:
+    """Return a complex number (n,) of each q: its anisotropy in x, y, turned by twice its major axis's angle."""
+    xx, xy, yy = q[:, 0, 0], q[:, 0, 1], q[:, 1, 1]
+    return np.asarray((xx - yy + 2j * xy) / (xx + yy))
 
 
 def squared_mahalanobis(errors: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pointnetkl import error_statistics, gicp
-from pointnetkl.covariance import gaussian
+from pointnetkl import error_statistics, gicp, pose
+from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.settings import require_positive, require_seed
 from pointnetkl.submap import Submap
@@ -19,23 +19,24 @@ LABEL, HELD_OUT = 1, 2
 LABELS = pa.schema(
     [
         ("submap", pa.int32()),
-        ("q_xx_m2", pa.float64()),
-        ("q_xy_m2", pa.float64()),
-        ("q_yy_m2", pa.float64()),
+        # of the errors of a registration, as `errors` defines them
+        *((name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")),
         ("mean_x_m", pa.float64()),  # of the errors: the registration's bias, part of Q
         ("mean_y_m", pa.float64()),
         ("runs", pa.int32()),
         ("converged_share", pa.float64()),
         ("main_basin_share", pa.float64()),
         ("iterations_mean", pa.float64()),
-        ("se_xx_m2", pa.float64()),  # standard errors of q_xx, q_xy, q_yy, from the errors' fourth moments
-        ("se_xy_m2", pa.float64()),
-        ("se_yy_m2", pa.float64()),
+        # standard errors of q_xx, q_xy, q_yy, from the errors' fourth moments
+        *((name, pa.float64()) for name in ("se_xx_m2", "se_xy_m2", "se_yy_m2")),
         ("relative_error", pa.float64()),  # the largest standard error of a variance u^T Q u, as a share of it
         ("spacing_m", pa.float64()),  # median distance to the nearest neighbour, in the cloud registered to
         ("self_matching", pa.bool_()),
     ]
 )
+# What labels of x, y and yaw have too; w is yaw.
+_ALSO = ("mean_w_rad", "se_xw_m_rad", "se_yw_m_rad", "se_ww_rad2")
+YAW = pa.schema([*table.YAW, *((name, pa.float64()) for name in _ALSO)])
 
 # Runs between two looks at the relative error. Few look Gaussian before a second basin shows; 100 meet one of 5 % of
 # the runs in 99.4 of 100 labels.
@@ -62,11 +63,12 @@ class Settings:
     held_out_runs: int
     engine: str = "cpu"  # what registers: cpu or cuda
     target_relative_error: float | None = None  # of a label whose runs may end early; None: all are made
+    prior_yaw_sigma_rad: float = 0.03  # of the yaw that a registration starts with, where it finds yaw
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         require_seed(self.seed)
-        require_positive(self, "prior_variance_m2")
+        require_positive(self, "prior_variance_m2", "prior_yaw_sigma_rad")
         for name, known in (("copy", ("same", "split")), ("engine", ("cpu", "cuda"))):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, must be {known[0]} or {known[1]}")
@@ -83,9 +85,14 @@ class Settings:
 class Outcome:
     """What became of L registrations of one submap."""
 
-    errors: np.ndarray  # (L, 2) metres, in the submap's frame: e_l = log(exp(T_hat)^-1 T) of Eq. 5
+    errors: np.ndarray  # (L, M) metres and radians: e_l = log(exp(T_hat)^-1 T) of Eq. 5, see `errors`
     converged: np.ndarray  # (L,) bool
     iterations: np.ndarray  # (L,) int32
+
+
+def schema(dimensions: int) -> pa.Schema:
+    """Return the schema of a table of labels of M dimensions, 2 or 3."""
+    return LABELS if dimensions == 2 else pa.schema([*LABELS, *YAW])
 
 
 def generator(settings: Settings, submap: Submap, stream: int) -> np.random.Generator:
@@ -98,18 +105,28 @@ def errors(
 ) -> Outcome:
     """Return the errors of `runs` registrations of a perturbed, noisy copy of a submap onto the submap.
 
-    Draws, in this order: a key (63 bits), then the translations (runs, 2) float64. The noise of run l is a function
-    of (key, l), so the first runs are the same however many follow.
+    T is the motion of the copy and T_hat what the registration says that it was, so exp(T_hat)^-1 T is what is left of
+    it, p -> R p + t. With x and y alone (M = 2) e = t. With yaw (M = 3) e = (x, y, yaw) is its logarithm in SE(2), in
+    the axes of the submap's frame with the origin at the mean of submap.points: there yaw has least to do with x and
+    y, and there is the origin of a canonical cloud.
+
+    Draws, in this order: a key (63 bits), then what each copy is moved by, (runs, M) float64. The noise of run l is a
+    function of (key, l), so the first runs are the same however many follow.
 
     Raises:
         GicpError: a cloud of the submap cannot be registered.
     """
-    source, target = _clouds(submap, settings, registration)
-    return _errors(source, target, runs, rng, settings, registration)
+    return _errors(submap, clouds(submap, settings, registration), runs, rng, settings, registration)
+
+
+def prior_sigmas(settings: Settings, dimensions: int) -> np.ndarray:
+    """Return the standard deviations (M,) of what a copy is moved by, metres and radians: Sigma_sample's."""
+    sigma = np.sqrt(settings.prior_variance_m2)
+    return np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
 
 
 def covariance(errors: np.ndarray) -> np.ndarray:
-    """Return Q = 1/(L-1) sum e e^T (Eq. 6), (2, 2) in m^2, of errors (L, 2); the mean is not subtracted.
+    """Return Q = 1/(L-1) sum e e^T (Eq. 6), (M, M), of errors (L, M); the mean is not subtracted.
 
     Raises:
         MonteCarloError: fewer than two errors.
@@ -120,27 +137,20 @@ def covariance(errors: np.ndarray) -> np.ndarray:
 
 
 def summarise(outcome: Outcome) -> dict[str, Any]:
-    """Return what the table LABELS says of registrations alone: their covariance, how sure it is, how they went.
+    """Return what a table of labels says of registrations alone: their covariance, how sure it is, how they went.
 
     Raises:
         MonteCarloError: fewer than two runs.
     """
-    q = covariance(outcome.errors)
-    xx, xy, yy = error_statistics.standard_errors(outcome.errors)
-    x, y = outcome.errors.mean(axis=0)
+    q, sure = covariance(outcome.errors), error_statistics.standard_errors(outcome.errors)
     return {
-        "q_xx_m2": q[0, 0],
-        "q_xy_m2": q[0, 1],
-        "q_yy_m2": q[1, 1],
-        "mean_x_m": x,
-        "mean_y_m": y,
+        **table.to_columns(q),
+        **{name.replace("q_", "se_", 1): value for name, value in table.to_columns(sure).items()},
+        **dict(zip(("mean_x_m", "mean_y_m", "mean_w_rad"), outcome.errors.mean(axis=0), strict=False)),
         "runs": len(outcome.errors),
         "converged_share": outcome.converged.mean(),
         "main_basin_share": error_statistics.main_basin_share(outcome.errors),
         "iterations_mean": outcome.iterations.mean(),
-        "se_xx_m2": xx,
-        "se_xy_m2": xy,
-        "se_yy_m2": yy,
         "relative_error": error_statistics.relative_error(outcome.errors),
     }
 
@@ -149,9 +159,9 @@ def summarise(outcome: Outcome) -> dict[str, Any]:
 class Label:
     """A submap's label and the error samples behind it."""
 
-    row: dict[str, Any]  # of the table LABELS
-    errors: np.ndarray  # (L, 2) metres; L is row["runs"]
-    held_out: np.ndarray  # (settings.held_out_runs, 2) metres, not used for the label
+    row: dict[str, Any]  # of a table of labels
+    errors: np.ndarray  # (L, M) metres and radians; L is row["runs"]
+    held_out: np.ndarray  # (settings.held_out_runs, M), not used for the label
 
 
 def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Settings) -> Label:
@@ -167,9 +177,9 @@ def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Sett
         GicpError: a cloud of the submap cannot be registered.
         CovarianceError: the label is not positive definite.
     """
-    source, target = _clouds(submap, settings, registration)
+    pair = clouds(submap, settings, registration)
     outcome, held_out = (
-        _errors(source, target, count, generator(settings, submap, stream), settings, registration, enough)
+        _errors(submap, pair, count, generator(settings, submap, stream), settings, registration, enough)
         for count, stream, enough in (
             (runs, LABEL, settings.target_relative_error),
             (settings.held_out_runs, HELD_OUT, None),
@@ -180,44 +190,62 @@ def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Sett
         row={
             **summarise(outcome),
             "submap": submap.number,
-            "spacing_m": target.spacing_m,
+            "spacing_m": pair[1].spacing_m,
             # only a copy of the very points can register to itself
-            "self_matching": settings.copy == "same" and target.spacing_m > np.sqrt(settings.prior_variance_m2),
+            "self_matching": settings.copy == "same" and pair[1].spacing_m > np.sqrt(settings.prior_variance_m2),
         },
         errors=outcome.errors,
         held_out=held_out.errors,
     )
 
 
-def _clouds(submap: Submap, settings: Settings, registration: gicp.Settings) -> tuple[gicp.Cloud, gicp.Cloud]:
+def clouds(submap: Submap, settings: Settings, registration: gicp.Settings) -> tuple[gicp.Cloud, gicp.Cloud]:
+    """Return source and target, ready to be registered: one cloud with copy `same`, the two halves with `split`.
+
+    Raises:
+        GicpError: a cloud of the submap cannot be registered.
+    """
     if settings.copy == "split":
         return gicp.prepare(submap.second, registration), gicp.prepare(submap.first, registration)
     cloud = gicp.prepare(submap.points, registration)
     return cloud, cloud
 
 
+def of_starts(
+    submap: Submap,
+    pair: tuple[gicp.Cloud, gicp.Cloud],
+    moved: np.ndarray,
+    noise: gicp.Noise,
+    settings: Settings,
+    registration: gicp.Settings,
+) -> Outcome:
+    """Return the errors of registrations of a submap's `clouds` whose copies are moved by (b, M) metres, radians."""
+    centroid = submap.points[:, :2].mean(axis=0, dtype=np.float64) - pair[1].centre[:2]
+    found = gicp.register_noisy(*pair, moved, noise, registration, engine=settings.engine)
+    # the copy was moved, turned (from the start's yaw on) and moved again: all of that is left of its perturbation
+    at_centre = pose.turned(moved[:, :2], found.yaw) + found.translation
+    left = pose.log(at_centre + (pose.turned(centroid, found.yaw) - centroid), found.yaw)
+    return Outcome(left[:, : moved.shape[1]], found.converged, found.iterations)
+
+
 def _errors(
-    source: gicp.Cloud,
-    target: gicp.Cloud,
+    submap: Submap,
+    pair: tuple[gicp.Cloud, gicp.Cloud],
     runs: int,
     rng: np.random.Generator,
     settings: Settings,
     registration: gicp.Settings,
     enough: float | None = None,
 ) -> Outcome:
+    sigmas = prior_sigmas(settings, registration.dimensions)
     key = int(rng.integers(1 << 63))
-    made = Outcome(np.zeros((0, 2)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
+    made = Outcome(np.zeros((0, registration.dimensions)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
     together = max(1, runs if enough is None else _BATCH)
     for first in range(0, runs, together):
-        moved = rng.standard_normal((min(together, runs - first), 2)) * np.sqrt(settings.prior_variance_m2)
+        moved = rng.standard_normal((min(together, runs - first), len(sigmas))) * sigmas
         noise = gicp.Noise(settings.noise_sigma_m, key, first)
-        found = gicp.register_noisy(source, target, moved, noise, registration, engine=settings.engine)
-        made = Outcome(
-            # the copy was moved by t_l, so the perturbation that the registration found is minus its translation
-            errors=np.concatenate([made.errors, moved + found.translation]),
-            converged=np.concatenate([made.converged, found.converged]),
-            iterations=np.concatenate([made.iterations, found.iterations]),
-        )
+        found = of_starts(submap, pair, moved, noise, settings, registration)
+        made = Outcome(**{name: np.concatenate([old, vars(found)[name]]) for name, old in vars(made).items()})
         if enough is not None and error_statistics.relative_error(made.errors) <= enough:
             break
     return made

@@ -1,7 +1,7 @@
 """Charts of the results: a figure is a function of a table, and only the report stage saves it."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -34,81 +34,36 @@ def png(figure: Figure) -> bytes:
 
 def _encoded(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", optimize=True)
+    image.save(buffer, "PNG")  # optimize=True takes eight times as long and saves 4 %
     return buffer.getvalue()
 
 
-def training(loss: pd.DataFrame) -> Figure:
+def training(losses: Mapping[str, pd.DataFrame]) -> Figure:
     """Draw the KL divergence in training and validation by optimiser step, and mark the weights that were kept.
 
-    `loss` has the columns step, training, validation (nats; validation may be missing between evaluations).
+    A panel for each model. A loss has the columns step, training, validation (nats; validation may be missing between
+    evaluations, training at step 0, before there was any).
     """
-    figure = Figure((WIDTH_IN, 3.6), layout="constrained")
-    axes = figure.subplots()
-    judged = loss.dropna(subset=["validation"])
-    axes.plot(loss["step"], loss["training"], color=SKY, linewidth=1, label="training, since the point before")
-    axes.plot(judged["step"], judged["validation"], color=BLUE, marker=".", label="validation")
-    if len(judged):
-        best = judged.loc[judged["validation"].idxmin()]
-        axes.axvline(best["step"], color=GREY, linestyle=":", linewidth=1)
-        axes.plot(best["step"], best["validation"], "o", mfc="none", mec=RED, markersize=10)
-        axes.annotate(
-            f"kept: step {best['step']:.0f}, {best['validation']:.3g} nats",
-            (best["step"], best["validation"]), xytext=(0, 14), textcoords="offset points", color=RED, ha="right",
-        )  # fmt: skip
-    axes.set(xlabel="optimiser step", ylabel="KL divergence (nats)", yscale="log")
-    plain_log(axes, "y")
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    figure = Figure((WIDTH_IN, 0.5 + 2.9 * len(losses)), layout="constrained")
+    grid = figure.subplots(len(losses), 1, squeeze=False, sharex=False).ravel()
+    for axes, (model, loss) in zip(grid, losses.items(), strict=True):
+        trained, judged = loss.dropna(subset=["training"]), loss.dropna(subset=["validation"])
+        axes.plot(trained["step"], trained["training"], color=SKY, lw=1, label="training, since the point before")
+        axes.plot(judged["step"], judged["validation"], color=BLUE, marker=".", label="validation")
+        axes.set(xlabel="optimiser step", ylabel="KL divergence (nats)", yscale="log")
+        axes.set_title(model + (_mark_kept(axes, judged) if len(judged) else ""), fontsize=10)
+        plain_log(axes, "y")
+        axes.grid(alpha=0.3)
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
-def divergence(kl: pd.DataFrame) -> Figure:
-    """Draw each method's mean KL divergence to the labels with its interval, a panel per survey.
-
-    `kl` has a row per survey and method: mean, ci_low, ci_high (nats).
-    """
-    figure, panels = _panels(kl, "KL(label || Q), mean and 95 % interval (nats)")
-    for axes, rows in panels:
-        _dots(axes, rows["mean"], _colours(rows["method"]))
-        _whiskers(axes, rows, _colours(rows["method"]))
-        _paper_marks(axes, rows, "paper")
-        axes.set_xscale("log")
-        plain_log(axes, "x")
-    _legend_once(figure)
-    return figure
-
-
-def calibration(nees: pd.DataFrame) -> Figure:
-    """Draw each method's normalised NEES on held-out errors, a panel per survey; above 1 is too sure.
-
-    `nees` has a row per survey and method: nees.
-    """
-    figure, panels = _panels(nees, "eᵀ Q⁻¹ e / 2, mean over held-out errors (1 is right; above it, too sure)")
-    for axes, rows in panels:
-        _dots(axes, rows["nees"], _colours(rows["method"]))
-        axes.axvline(1.0, color=GREY, linestyle=":", linewidth=1)
-        axes.set_xscale("log")
-        plain_log(axes, "x")
-    return figure
-
-
-def slam_error(slam: pd.DataFrame) -> Figure:
-    """Draw each method's trajectory error against GT and against truth, a panel per survey.
-
-    `slam` has a row per survey and method, metres: rmse_xyz_m with ci_low and ci_high, truth_rmse_xyz_m,
-    paper_rmse_xyz_m.
-    """
-    figure, panels = _panels(slam, "RMSE of submap positions, no alignment (m)")
-    for axes, rows in panels:
-        _dots(axes, rows["rmse_xyz_m"], [BLUE] * len(rows), "against GT")
-        _whiskers(axes, rows, [BLUE] * len(rows))
-        _dots(axes, rows["truth_rmse_xyz_m"], [ORANGE] * len(rows), "against truth", 0.25, "s")
-        _paper_marks(axes, rows, "paper_rmse_xyz_m")
-        axes.set_xscale("log")
-        plain_log(axes, "x")
-    _legend_once(figure)
-    return figure
+def _mark_kept(axes: Axes, judged: pd.DataFrame) -> str:
+    """Ring the least validation divergence; return what the title says of it."""
+    best = judged.loc[judged["validation"].idxmin()]
+    axes.axvline(best["step"], color=GREY, linestyle=":", linewidth=1)
+    axes.plot(best["step"], best["validation"], "o", mfc="none", mec=RED, markersize=10)
+    return f", kept: step {best['step']:.0f}, {best['validation']:.3g} nats"
 
 
 def eigenvalues(labels: Mapping[str, np.ndarray], prior_m2: float, floor_m2: float) -> Figure:
@@ -139,100 +94,11 @@ def eigenvalues(labels: Mapping[str, np.ndarray], prior_m2: float, floor_m2: flo
     return figure
 
 
-def accuracy_time(kl: pd.DataFrame, seconds: Mapping[str, float]) -> Figure:
-    """Draw mean KL divergence (nats) against seconds per submap, a panel per survey; lower left is better.
-
-    `kl` as for `divergence`; a method without a time is left out.
-    """
-    timed = kl[kl["method"].isin(list(seconds))]
-    figure, panels = _grid(timed, 3.6)
-    for axes, rows in panels:
-        times = rows["method"].map(seconds).to_numpy(float)
-        _front(axes, times, rows["mean"].to_numpy(float))
-        axes.scatter(times, rows["mean"].astype(float), c=_colours(rows["method"]), zorder=3)
-        for i, place in enumerate(np.argsort(times)):
-            # above and below by turns, so that neighbours' names do not meet
-            shift, side = (5, "bottom") if i % 2 else (-5, "top")
-            at = (times[place], rows["mean"][place])
-            name = axes.annotate(rows["method"][place], at, (0, shift), textcoords="offset points", fontsize=7.5)
-            name.set(ha="center", va=side)
-        axes.set(xscale="log", yscale="log", xlabel="seconds per submap, one thread", ylabel="mean KL (nats)")
-        axes.margins(0.2)
-        plain_log(axes, "x")
-        plain_log(axes, "y")
-    return figure
-
-
-def _grid(table: pd.DataFrame, height_in: float) -> tuple[Figure, list[tuple[Axes, pd.DataFrame]]]:
-    """Return a figure with a panel for each survey of the table, two in a row, and the survey's rows."""
-    surveys = list(dict.fromkeys(table["survey"]))
-    across = min(2, max(1, len(surveys)))
-    down = -(-len(surveys) // across)
-    figure = Figure((WIDTH_IN, height_in * max(1, down)), layout="constrained")
-    grid = figure.subplots(max(1, down), across, squeeze=False).ravel()
-    for axes, survey in zip(grid, surveys, strict=False):
-        axes.set_title(paper.title(survey))
-        axes.grid(alpha=0.3)
-    for axes in grid[len(surveys) :]:
-        axes.remove()
-    rows = [table[table["survey"] == survey].reset_index(drop=True) for survey in surveys]
-    return figure, list(zip(grid, rows, strict=False))
-
-
-def _panels(table: pd.DataFrame, label: str) -> tuple[Figure, list[tuple[Axes, pd.DataFrame]]]:
-    """Return the same with a line for each method, its name at the side."""
-    methods = int(table.groupby("survey").size().max()) if len(table) else 1
-    figure, panels = _grid(table, 0.9 + 0.24 * methods)
-    for axes, rows in panels:
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_yticks(range(len(rows)), rows["method"])
-    figure.supxlabel(label, fontsize="medium")
-    return figure, panels
-
-
-def _dots(
-    axes: Axes,
-    values: pd.Series,
-    colours: Sequence[str],
-    label: str | None = None,
-    shift: float = 0.0,
-    marker: str = "o",
-) -> None:
-    heights = np.arange(len(values)) + shift
-    axes.scatter(values.astype(float), heights, c=list(colours), marker=marker, s=24, label=label, zorder=3)
-
-
-def _whiskers(axes: Axes, rows: pd.DataFrame, colours: Sequence[str]) -> None:
-    low, high = rows["ci_low"].astype(float), rows["ci_high"].astype(float)
-    axes.hlines(np.arange(len(rows)), low, high, colors=list(colours), linewidth=1.5)
-
-
-def _paper_marks(axes: Axes, rows: pd.DataFrame, column: str) -> None:
-    known = rows[column].notna()
-    axes.plot(rows[column][known], rows.index[known], "D", mfc="none", mec=GREY, label="the paper (its own data)")
-
-
-def _legend_once(figure: Figure) -> None:
-    handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
-
-
 def _box(axes: Axes, values: np.ndarray, height: float, colour: str) -> None:
     q05, q25, q50, q75, q95 = np.quantile(values, paper.QUANTILES)
     axes.plot([q05, q95], [height, height], color=colour, linewidth=1.2)
     axes.barh(height, q75 - q25, left=q25, height=0.2, color=colour, alpha=0.6)
     axes.plot([q50, q50], [height - 0.13, height + 0.13], color="black", linewidth=1.5)
-
-
-def _front(axes: Axes, times: np.ndarray, means: np.ndarray) -> None:
-    order = np.lexsort((means, times))
-    best = np.minimum.accumulate(means[order])
-    axes.step(times[order], best, where="post", color=GREY, linestyle=":", linewidth=1)
-
-
-def _colours(methods: pd.Series) -> list[str]:
-    special = {"pointnetkl": RED, "network": RED, "monte_carlo": GREEN}
-    return [special.get(method, BLUE) for method in methods]
 
 
 def plain_log(axes: Axes, which: str) -> None:

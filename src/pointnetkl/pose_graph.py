@@ -12,6 +12,7 @@ import numpy as np
 
 from pointnetkl.errors import PointNetKLError
 
+_XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
 _FIRST_POSE_SIGMA = 1e-6  # metres and radians: the first node is held, and this says how
 
 
@@ -45,7 +46,7 @@ class DeadReckoningNoise(_Noise):
 
 @dataclass(frozen=True)
 class ClosureNoise(_Noise):
-    """Standard deviations of a loop closure in all but x and y, which have Q."""
+    """Standard deviations of a loop closure in all but x and y, which have Q; yaw has it too, where it is found."""
 
     roll_rad: float
     pitch_rad: float
@@ -80,11 +81,20 @@ def chain(first: np.ndarray, relative: np.ndarray) -> np.ndarray:
     return np.array(poses)
 
 
-def closure_covariances(q: np.ndarray, noise: ClosureNoise) -> np.ndarray:
-    """Return the edges' covariances (e, 6, 6), rotation first, with q (e, 2, 2) in m^2 for x and y."""
+def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray | None = None) -> np.ndarray:
+    """Return the edges' covariances (e, 6, 6), rotation first, with q (e, 2, 2) in m^2 for x and y.
+
+    With q (e, 3, 3) it is yaw's too; q is then about `levers` (e, 2), metres in the source's frame, and is moved to
+    that frame's origin.
+    """
     full = np.zeros((len(q), 6, 6))
     full[:, range(6), range(6)] = np.array([noise.roll_rad, noise.pitch_rad, noise.yaw_rad, 0.0, 0.0, noise.z_m]) ** 2
-    full[:, 3:5, 3:5] = q
+    if levers is None:
+        full[:, 3:5, 3:5] = q
+        return full
+    adjoint = np.tile(np.eye(3), (len(q), 1, 1))  # of x, y, yaw
+    adjoint[:, :2, 2] = levers[:, ::-1] * [1, -1]
+    full[:, _XY_YAW[:, None], _XY_YAW] = adjoint @ q @ np.swapaxes(adjoint, 1, 2)
     return full
 
 

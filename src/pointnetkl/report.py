@@ -10,15 +10,19 @@ import pandas as pd
 
 from pointnetkl import (
     artifacts,
+    cases,
+    class_tables,
     figures,
     label_study,
     label_tables,
     page,
     plots,
     results,
+    simulation,
     story,
     summary,
     tables,
+    terrain,
     text_table,
     voxel,
 )
@@ -27,7 +31,10 @@ from pointnetkl.study import Study
 from pointnetkl.summary import Settings
 from pointnetkl.text_table import Block
 
-_IN_WORDS = ("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise")
+_IN_WORDS = (
+    *("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise"),
+    "terrain",
+)
 
 
 @dataclass(frozen=True)
@@ -45,27 +52,27 @@ class _Found:
     labels: Mapping[str, Labels]
     canonical: Mapping[str, voxel.Clouds]
     tests: Mapping[str, Test]
-    training: Mapping[str, float]  # PointNetKL's KL in training and validation, nats
+    training: Mapping[str, Mapping[str, float]]  # by method that learns, its KL in training and validation, nats
     runtime: Mapping[str, Any]
     variations: pd.DataFrame  # schema results.VARIATIONS
 
 
-def make(folders: Folders, study: Study, simulate: Mapping[str, Any], settings: Settings) -> Report:
+def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
     """Return the whole report of a study.
 
     Raises:
         ResultsError, ArtifactError: an artifact is missing, damaged, or does not belong to the others.
     """
     folders.demand(study)
-    found = _read(folders, study)
+    found = _read(folders, study, settings)
     numbers = _numbers(folders, study, simulate, found, settings)
     shown = _tables(numbers, study, found)
     drawn = dict(_figures(folders, study, found, shown, settings))
-    text = story.sections(shown)
+    text = story.sections(shown, numbers["datasets"], found.labels)
     lead = story.lead(study, numbers["datasets"], found.labels, found.tests)
     title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
     files = {
-        "metrics.json": _json(summary.known(numbers)),
+        "metrics.json": _json(summary.known(summary.published(numbers))),
         **{f"tables/{name}": content for name, content in _table_files(shown)},
         **{f"figures/{name}.png": image for name, image in drawn.items()},
         "index.html": page.render(title, lead, text, drawn).encode(),
@@ -73,7 +80,7 @@ def make(folders: Folders, study: Study, simulate: Mapping[str, Any], settings: 
     return Report(files, story.comparison(numbers))
 
 
-def _read(folders: Folders, study: Study) -> _Found:
+def _read(folders: Folders, study: Study, settings: Settings) -> _Found:
     labels = {name: results.read_labels(folders, name) for name in study.surveys}
     clouds = {name: folders.data / f"clouds/{name}.npz" for name in study.surveys}
     return _Found(
@@ -82,22 +89,24 @@ def _read(folders: Folders, study: Study) -> _Found:
             n: voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path)) for n, path in clouds.items()
         },
         tests={name: results.read_test(folders, name, labels[name]) for name in study.test},
-        training=results.read_training(folders),
+        training=results.read_training(folders, study.models, settings.kl_floor_m2),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
         variations=results.read_variations(folders, study),
     )
 
 
 def _numbers(
-    folders: Folders, study: Study, simulate: Mapping[str, Any], found: _Found, settings: Settings
+    folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], found: _Found, settings: Settings
 ) -> dict[str, Any]:
-    datasets = {}
+    datasets, slopes = {}, {}
     for name, line in study.surveys.items():
         clouds, poses = results.read_points(folders, name)
         simulated = summary.simulated_from(line.raw, simulate)
+        chosen = simulate[simulated] if simulated else None
+        slopes[name] = terrain.slopes(clouds, poses, *results.read_frame(folders, name), chosen)
         datasets[name] = {
-            "simulated": simulated is not None,
-            "vehicle": str(simulate[simulated].get("vehicle", "unknown")) if simulated else "unknown",
+            "simulated": chosen is not None,
+            "vehicle": chosen.vehicle if chosen else "unknown",
             **summary.dataset(
                 clouds,
                 poses,
@@ -107,12 +116,21 @@ def _numbers(
                 settings.cell_factor * line.point_spacing_m,
             ),
         }
-    tests = found.tests.items()
+    classes, trained = terrain.of_surveys(slopes, study.train, settings.terrain_classes)
+    judged = {name: summary.judged(found.labels[name], test) for name, test in found.tests.items()}
+    kl = {name: summary.divergences(name, each, settings) for name, each in judged.items()}
     return {
         "datasets": datasets,
-        "kl": {**found.training} | {n: summary.divergences(n, found.labels[n], test, settings) for n, test in tests},
-        "calibration": {name: summary.calibrations(found.labels[name], test) for name, test in tests},
-        "slam": {name: summary.slam(name, test, settings) for name, test in tests},
+        "kl": {**found.training.get("pointnetkl", {}), **kl},
+        "calibration": {name: summary.calibrations(each) for name, each in judged.items()},
+        "terrain": {n: terrain.counts(classes[n], slopes[n], found.labels[n].q, trained) for n in study.surveys},
+        "by_class": {n: summary.by_class(n, each, classes[n], trained, settings) for n, each in judged.items()},
+        "by_size": {name: summary.by_size(each, settings) for name, each in judged.items()},
+        "by_copy": {
+            name: summary.by_copy(name, found.labels[name], test, found.variations, settings)
+            for name, test in found.tests.items()
+        },
+        "slam": {name: summary.slam(name, test, settings) for name, test in found.tests.items()},
     }
 
 
@@ -126,13 +144,14 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         }
         for name, each in numbers["datasets"].items()
     }
-    eigenvalues = {name: np.linalg.eigvalsh(labels.q) for name, labels in found.labels.items()}
+    eigenvalues = {name: np.linalg.eigvalsh(labels.q[:, :2, :2]) for name, labels in found.labels.items()}
     rows = {name: labels.rows for name, labels in found.labels.items()}
     kl, slam = tables.divergences(numbers["kl"], datasets), tables.slam_errors(numbers["slam"], datasets)
+    methods = dict.fromkeys(method for test in found.tests.values() for method in test.covariances)
     return {
         "table_1": tables.table_1(datasets),
-        "table_2": [*tables.table_2(numbers["kl"], datasets, list(study.train)), kl],
-        "table_3": tables.table_3(found.runtime),
+        "table_2": [*tables.table_2(numbers["kl"], datasets, found.training), kl],
+        "table_3": tables.table_3(found.runtime, methods),
         "table_4": [*tables.table_4(numbers["slam"], datasets), slam],
         "labels": [tables.label_quantiles(eigenvalues, datasets)],
         "label_quality": [label_tables.quality(rows, datasets)],
@@ -142,6 +161,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "kl": [kl],
         "calibration": [tables.calibrations(numbers["calibration"], datasets)],
         "slam": [slam],
+        **class_tables.every(numbers, datasets),
     }
 
 
@@ -160,17 +180,25 @@ def _figures(
     folders: Folders, study: Study, found: _Found, shown: Mapping[str, Sequence[Block]], settings: Settings
 ) -> Iterator[tuple[str, bytes]]:
     rng = np.random.default_rng(settings.seed)
-    eigenvalues = {name: np.linalg.eigvalsh(labels.q) for name, labels in found.labels.items()}
+    eigenvalues = {name: np.linalg.eigvalsh(labels.q[:, :2, :2]) for name, labels in found.labels.items()}
     spacing = {name: float(np.median(labels.spacing_m)) for name, labels in found.labels.items()}
     prior = float(next(iter(found.labels.values())).parameters["label"]["prior_variance_m2"])
     kl, calibration, slam = (shown[name][0].frame for name in ("kl", "calibration", "slam"))
     yield "swath", plots.png(figures.swath(folders, next(iter(study.train))))
     yield "canonical", plots.png(figures.canonical(found.canonical, rng))
-    yield "training", plots.png(plots.training(results.read_loss(folders)))
+    yield "training", plots.png(plots.training(results.read_losses(folders, study.models)))
     yield "labels", plots.png(plots.eigenvalues(eigenvalues, prior, settings.kl_floor_m2))
     for name, figure in figures.labels(found.variations, prior, found.runtime):
         yield name, plots.png(figure)
-    yield "bathymetry", plots.png(figures.bathymetry(folders, found.tests, spacing))
+    surveys = [
+        cases.Survey(name, results.read_points(folders, name)[0], found.labels[name], test, settings.kl_floor_m2)
+        for name, test in found.tests.items()
+    ]
+    yield "bathymetry", plots.png(figures.bathymetry(surveys, spacing))
+    yield "submaps", plots.png(figures.submaps(surveys))
+    for name, figure in figures.worst(surveys):
+        yield f"worst/{name}", plots.png(figure)
+    yield "reliability", plots.png(figures.reliability(surveys))
     yield "trajectories", plots.png(figures.trajectories(found.tests))
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):
         yield name, plots.png(figure)

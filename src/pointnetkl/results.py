@@ -3,7 +3,7 @@
 Only the columns that a report needs are asked of a table, so that a stage may add to its own.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ _TESTED = (
     "graphs/{}.npz",
 )
 _SLAM = ("slam/{}.parquet", "slam/{}_trajectories.parquet")
-_TRAINED = ("train/loss.csv", "train/summary.json", "runtime.json")
+_TRAINED = ("train/{}.csv", "train/{}.json")
 
 
 class ResultsError(PointNetKLError):
@@ -69,7 +69,9 @@ class Folders:
         for name in study.test:
             yield from (self.data / each.format(name) for each in _TESTED)
             yield from (self.reports / each.format(name) for each in _SLAM)
-        yield from (self.reports / each for each in _TRAINED)
+        for name in study.models:
+            yield from (self.reports / each.format(name) for each in _TRAINED)
+        yield self.reports / "runtime.json"
         yield self.models / "fits.json"
 
     def demand(self, study: Study) -> None:
@@ -91,7 +93,7 @@ class Labels:
     """A survey's Monte Carlo labels, by submap."""
 
     submap: np.ndarray  # (k,)
-    q: np.ndarray  # (k, 2, 2) m^2
+    q: np.ndarray  # (k, M, M) in m and rad
     spacing_m: np.ndarray  # (k,) median distance of a point to its nearest
     self_matching: np.ndarray  # (k,) whether the points lie too far apart for the copy to be a fair one
     rows: pd.DataFrame  # schema LABELS, all of the above and how the registrations went
@@ -102,8 +104,8 @@ class Labels:
 class Test:
     """What a test survey adds: every method's covariances, errors to judge them by, and SLAM."""
 
-    covariances: Mapping[str, np.ndarray]  # by method: (k, 2, 2) m^2, in the order of the labels
-    held_out: np.ndarray  # (k, H, 2) registration errors in metres that no label has seen
+    covariances: Mapping[str, np.ndarray]  # by method: (k, M, M), in the order of the labels
+    held_out: np.ndarray  # (k, H, M) registration errors, metres and radians, that no label has seen
     slam: pd.DataFrame  # schema SLAM
     trajectories: pd.DataFrame  # schema TRAJECTORIES
     gt: np.ndarray  # (n, 4, 4) T_map_submap of navigation optimised with the labels
@@ -114,7 +116,7 @@ class Test:
 def read_labels(folders: Folders, name: str) -> Labels:
     """Read a survey's labels."""
     path = folders.data / f"labels/{name}.parquet"
-    rows = artifacts.read_table(path, LABELS)
+    rows = artifacts.read_table(path, LABELS, also=table.YAW)
     columns = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
     number, spacing, matching = columns
     return Labels(number, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
@@ -129,7 +131,7 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
     covariances = {}
     for stage in ("estimated", "predicted"):
         path = folders.data / f"covariances/{name}_{stage}.parquet"
-        for method, rows in artifacts.read_table(path, table.SCHEMA).groupby("method", sort=False):
+        for method, rows in artifacts.read_table(path, table.SCHEMA, also=table.YAW).groupby("method", sort=False):
             rows = rows.sort_values("submap")
             _same_submaps(path, rows["submap"].to_numpy(), labels, str(method))
             covariances[str(method)] = table.to_matrices(rows)
@@ -151,7 +153,7 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
 def read_variations(folders: Folders, study: Study) -> pd.DataFrame:
     """Read the test surveys' labels under varied conditions, one table of schema VARIATIONS."""
     paths = (folders.data / f"variations/{name}.parquet" for name in study.test)
-    every = [artifacts.read_table(path, VARIATIONS) for path in paths]
+    every = [artifacts.read_table(path, VARIATIONS, also=table.YAW) for path in paths]
     return pd.concat([VARIATIONS.empty_table().to_pandas(), *every], ignore_index=True)
 
 
@@ -168,6 +170,19 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
     return np.split(points[order], starts[1:]), poses
 
 
+def read_frame(folders: Folders, name: str) -> tuple[np.ndarray, str]:
+    """Read the origin (2,) of a survey's map frame, and the CRS that it is given in.
+
+    Raises:
+        ResultsError: the survey does not say.
+    """
+    path = folders.data / f"surveys/{name}/pings.parquet"
+    frame = artifacts.table_metadata(path)
+    if len(frame.get("origin", ())) != 2 or "crs" not in frame:
+        raise ResultsError(f"{path}: must name the crs and origin of its map frame; run dvc repro ingest@{name}")
+    return np.array(frame["origin"], float), str(frame["crs"])
+
+
 def read_pings(folders: Folders, name: str) -> pd.DataFrame:
     """Read a survey's pings (survey.PINGS)."""
     return artifacts.read_table(folders.data / f"surveys/{name}/pings.parquet", survey.PINGS)
@@ -180,26 +195,39 @@ def read_soundings(folders: Folders, name: str, first: int, last: int) -> np.nda
     return artifacts.read_table(path, survey.SOUNDINGS, only)[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
 
 
-def read_training(folders: Folders) -> dict[str, float]:
-    """Read PointNetKL's mean KL divergence in training and validation, nats.
+def read_training(folders: Folders, models: Iterable[str], floor_m2: float) -> dict[str, dict[str, float]]:
+    """Read the mean KL divergence (nats) of what learns, models and fits, in training and validation, at this floor.
+
+    What was measured at another floor is left out: it does not compare.
 
     Raises:
-        ResultsError: one of them is missing.
+        ResultsError: a model's are missing.
     """
-    path = folders.reports / "train/summary.json"
-    found = artifacts.read_json(path).get("kl")
-    if not isinstance(found, dict) or not {"training", "validation"} <= set(found):
-        raise ResultsError(f"{path}: must have kl.training and kl.validation; run dvc repro train")
-    return {which: float(found[which]) for which in ("training", "validation")}
+    found, at = {}, {}
+    for name in models:
+        path = folders.reports / f"train/{name}.json"
+        content = artifacts.read_json(path)
+        kl, at[name] = content.get("kl"), content.get("floor_m2")
+        if not isinstance(kl, dict) or not {"training", "validation"} <= set(kl) or at[name] is None:
+            raise ResultsError(f"{path}: must have kl.training, kl.validation and floor_m2; run dvc repro train@{name}")
+        found[name] = {which: float(kl[which]) for which in ("training", "validation")}
+    fits = artifacts.read_json(folders.models / "fits.json")
+    for name, fit in fits.items():
+        if isinstance(fit, dict) and "mean_kl" in fit:
+            found[name], at[name] = {"training": float(fit["mean_kl"])}, fits["params"]["fit"]["floor_m2"]
+    return {name: each for name, each in found.items() if at[name] == floor_m2}
 
 
-def read_loss(folders: Folders) -> pd.DataFrame:
-    """Read the KL divergence by training step.
+def read_losses(folders: Folders, models: Iterable[str]) -> dict[str, pd.DataFrame]:
+    """Read each model's KL divergence by training step.
 
     Raises:
         ResultsError: a column is missing.
     """
-    path = folders.reports / "train/loss.csv"
+    return {name: _loss(folders.reports / f"train/{name}.csv") for name in models}
+
+
+def _loss(path: Path) -> pd.DataFrame:
     try:
         return pd.read_csv(path)[["step", "training", "validation"]]
     except (KeyError, ValueError) as error:

@@ -14,6 +14,7 @@ import pyarrow as pa
 from scipy.spatial import cKDTree
 
 from pointnetkl import gicp, monte_carlo, spacing, submap
+from pointnetkl.covariance import table
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.monte_carlo import Outcome
 from pointnetkl.settings import require_positive, require_seed
@@ -38,6 +39,11 @@ VARIATIONS = pa.schema(
     ]
 )
 _REPEATS = 100  # parts of one size at most: their mean is known to a tenth of their spread
+
+
+def schema(dimensions: int) -> pa.Schema:
+    """Return the schema of labels of M dimensions, 2 or 3."""
+    return VARIATIONS if dimensions == 2 else pa.schema([*VARIATIONS, *table.YAW])
 
 
 class SensitivityError(PointNetKLError):

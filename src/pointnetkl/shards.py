@@ -20,7 +20,8 @@ from pointnetkl.gicp import GicpError
 from pointnetkl.monte_carlo import Label, MonteCarloError
 from pointnetkl.submap import Submap
 
-SOURCES = ("gicp/*.py", "error_statistics.py", "monte_carlo.py")  # the modules whose code decides a label
+# the modules whose code decides a label
+SOURCES = ("gicp/*.py", "covariance/table.py", "error_statistics.py", "monte_carlo.py", "pose.py")
 LIBRARIES = {"cpu": ("numpy", "scipy", "numba", "llvmlite"), "cuda": ("numpy", "scipy", "numba", "numba-cuda")}
 _ABANDONED_S = 3600.0  # no file is written for an hour
 
@@ -126,10 +127,11 @@ def read(path: Path) -> Label | None:
     try:
         arrays, metadata = artifacts.read_arrays(path)
         label = Label(metadata["row"], arrays["errors"], arrays["held_out"])
-        known = metadata["name"] == path.name and set(label.row) == set(monte_carlo.LABELS.names)
-        whole = label.errors.shape == (label.row["runs"], 2) and label.held_out.shape[1:] == (2,)
+        m = label.errors.shape[-1]
+        known = metadata["name"] == path.name and set(label.row) == set(monte_carlo.schema(m).names)
+        whole = label.errors.shape == (label.row["runs"], m) and label.held_out.shape[1:] == (m,)
         return label if known and whole else None
-    except (ArtifactError, KeyError, TypeError):
+    except (ArtifactError, IndexError, KeyError, TypeError):
         return None
 
 

@@ -87,7 +87,7 @@ def weights(registration: np.ndarray, edges: str) -> np.ndarray:
 
 
 def by_method(covariances: pd.DataFrame) -> dict[str, dict[int, np.ndarray]]:
-    """Return Q (2, 2) in m^2 by method and submap, of covariance tables joined; methods in their order there.
+    """Return Q (M, M) by method and submap, of covariance tables joined; methods in their order there.
 
     Raises:
         CovarianceError: a Q is not a covariance.
@@ -112,7 +112,7 @@ def pose_graphs(
     made = {}
     for name, q in methods.items():
         edge_q = survey_graph.edge_covariances(graph.number, q, graph.closures, f"{graph.survey}, {name}")
-        full = pose_graph.closure_covariances(edge_q * weight, graph.closure_noise)
+        full = pose_graph.closure_covariances(edge_q * weight, graph.closure_noise, graph.closures.levers)
         made[name] = pose_graph.PoseGraph(graph.gt[0], graph.closures.edges, full)
     return made
 

@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pointnetkl import label_story
+from pointnetkl import label_story, terrain_story
 from pointnetkl.page import Section
 from pointnetkl.results import Labels, Test
 from pointnetkl.study import Study
 from pointnetkl.text_table import Block, cell
 
+_WORST_OF = ("network", "pointnetkl", "structure_tensor")  # whose worst submaps the page shows, as far as there
 Blocks = Mapping[str, Sequence[Block]]
 
 
@@ -34,15 +35,18 @@ def lead(
     ]
 
 
-def sections(shown: Blocks) -> list[Section]:
+def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, Labels]) -> list[Section]:
     """Return the page's sections around the tables, by the stems of their files."""
+    copies = {name: str(of.parameters["label"]["copy"]) for name, of in labels.items()}
     return [
         _surveys(shown),
         _labels(shown),
         label_story.section(shown),
         _training(),
-        _kl(shown),
+        _kl(shown, copies),
         _calibration(shown),
+        terrain_story.classes(shown),
+        terrain_story.limits(copies, datasets),
         _time(shown),
         _slam(shown),
     ]
@@ -53,7 +57,8 @@ def comparison(numbers: Mapping[str, Any]) -> list[str]:
     lines = []
     for survey, slam in numbers["slam"].items():
         simulated = " (simulated)" if numbers["datasets"][survey]["simulated"] else ""
-        kl = _each(numbers["kl"][survey], ("pointnetkl", "structure_tensor", "constant_train", "naive_gicp"), "mean")
+        rivals = ("network", "pointnetkl", "structure_tensor", "cello", "constant_train", "naive_gicp")
+        kl = _each(numbers["kl"][survey], rivals, "mean")
         methods = ("corrupted", "monte_carlo", "pointnetkl", "constant", "naive_gicp")
         lines.append(f"{survey}{simulated}: mean KL, nats: {kl}")
         lines.append(f"{survey}{simulated}: SLAM error against GT, m: {_each(slam, methods, 'rmse_xyz_m')}")
@@ -116,29 +121,38 @@ def _training() -> Section:
         (
             "KL divergence to the labels as the network learns. Validation submaps are blocks along the track:"
             " few of them have an overlapping neighbour that is trained on, though adjacent lines still share some"
-            " ground. The ring marks the weights that were kept. The network learns each label plus the floor"
-            " (train.label_floor_m2), so its Q holds the floor wherever it is used, in SLAM too.",
+            " ground. The ring marks the weights that were kept. The floor (floor_m2 of a model's train) is added to"
+            " label and answer alike before they are compared, and is in neither when Q is used.",
         ),
-        figures={"training": "KL divergence (nats) by optimiser step (the paper's Fig. 4)."},
+        figures={"training": "KL divergence (nats) by optimiser step, a panel for each model (the paper's Fig. 4)."},
     )
 
 
-def _kl(shown: Blocks) -> Section:
+def _kl(shown: Blocks, copies: Mapping[str, str]) -> Section:
     return Section(
         "Divergence from the labels",
         (
-            "KL(label || Q), nats: 0 is the label itself. The floor of report.kl_floor_m2 is added to label and"
-            " Q, or one wrong tiny label would decide the mean; mean_floor0 is without it. Intervals are a"
-            " bootstrap over submaps. constant is the mean of the test survey's own labels (a posteriori, as in"
-            " the paper); constant_train that of the training labels, which a vehicle could have.",
+            "KL(label || Q), nats: 0 is the label itself. The floor report.kl_floor_m2 is added to label and Q, or one"
+            " wrong tiny label would decide the mean; mean_floor0 is without it. constant is the mean of the test"
+            " survey's own labels (a posteriori, as in the paper); constant_train that of the training labels, which a"
+            f" vehicle could have. {terrain_story.copy_words(copies)}",
+            "Table II is at that floor: what was fitted or trained at another (floor_m2) has a dash. Intervals are"
+            " a bootstrap over submaps, in runs of report.block_submaps along the track, for neighbours overlap;"
+            " network_better is the share of its draws in which network has the lower mean: 1 is sure, 0.5 a tie."
+            " axis_error_deg is the mean angle between the major axes of label and Q, weighted by the anisotropy"
+            " (a - b) / (a + b) of the label's eigenvalues, with the floor; 45 is a guess.",
         ),
         shown["table_2"],
-        {"kl": "Mean KL(label || Q) by method, with its 95 % interval. Left is better; log scale."},
+        {
+            "kl": "Mean KL(label || Q) by method, the best on top, with its 95 % interval. Left is better; log scale.",
+            "submaps": "Submaps from the largest label to the smallest, seen from above with the track upward: seabed,"
+            " and to scale the 95 % ellipses of the label and of what methods said, with their KL. beyond: too large"
+            " for the frame. The ten submaps that each method is most wrong about: reports/figures/worst.",
+            **{f"worst/{name}": f"The ten submaps that {name} is most wrong about." for name in _WORST_OF},
+        },
         (
-            "Neighbouring submaps overlap and share terrain: they are not independent, and the true intervals"
-            " are wider.",
-            "Where most labels are smaller than the floor (see Labels) the mean with the floor says little: there"
-            " every small Q is as good as any other. Read mean_floor0 and the calibration too.",
+            "Adjacent lines share terrain too, and a survey is one draw of it: the true intervals are wider.",
+            "Where most labels are below the floor, any small Q is as good: read mean_floor0 and the calibration too.",
         ),
     )
 
@@ -147,12 +161,17 @@ def _calibration(shown: Blocks) -> Section:
     return Section(
         "Calibration",
         (
-            "Does Q describe errors that no label has seen? nees is the mean of eᵀ Q⁻¹ e / 2: 1 is right,"
-            " above 1 is too sure of itself. coverage_95 is the share of errors inside the ellipse that should"
-            " hold 95 %.",
+            "Does Q describe errors that no label has seen? nees is the mean of eᵀ Q⁻¹ e / M, M its size: 1 is right,"
+            " above 1 is too sure of itself. coverage_95 is the share of errors inside the ellipse that should hold"
+            " 95 %, and mc_coverage_95 that inside monte_carlo's own, on the same errors.",
         ),
         shown["calibration"],
-        {"calibration": "Normalised NEES by method. On the dotted line Q is right on average."},
+        {
+            "calibration": "Normalised NEES (shaded: 0.85 to 1.15; a number: beyond the axis) and coverage of the 95 %"
+            " ellipses. Dotted: 95 %. Dashed: monte_carlo's own, which errors with heavy tails allow.",
+            "reliability": "Share of errors inside the ellipse that should hold so many. Under the diagonal Q is too"
+            " sure of itself; as good as monte_carlo, the labels themselves, is as good as a Gaussian can be.",
+        },
         (
             "Errors have heavy tails, so even exact second moments (monte_carlo) may cover less than they should."
             " These errors are of the labels' own kind of registration, submap against copy, not of loop closures.",
@@ -169,7 +188,10 @@ def _time(shown: Blocks) -> Section:
             " our own Monte Carlo label, of as many registrations as the table's title says (the paper: 3000).",
         ),
         shown["table_3"],
-        {"accuracy_time": "Divergence against time. Nothing lies left of and below the dotted line."},
+        {
+            "accuracy_time": "Divergence against time, log scales. Nothing lies left of and below the dashed line, the"
+            " Pareto front. Bars: 95 % intervals."
+        },
         (
             "The paper's machine is another one: compare ratios, not seconds. Divergence is judged on this"
             " scale's test submaps, time on submaps of the paper's size.",
@@ -189,7 +211,7 @@ def _slam(shown: Blocks) -> Section:
         ),
         shown["table_4"],
         {
-            "slam": "Error by method. Bars are 95 % intervals of the mean over repetitions. Diamonds: the paper.",
+            "slam": "Error by method. Bars are 95 % intervals of the mean over repetitions.",
             "bathymetry": "Depth of the test surveys, submaps at their GT poses (the paper's Fig. 5).",
             "trajectories": "Repetition 0: GT, corrupted, solved with the covariances named. One scale per survey.",
         },

@@ -1,6 +1,6 @@
 """The surveys of the study: where each one's raw data are, and the numbers that stand in its line."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pointnetkl import settings
@@ -42,6 +42,8 @@ class Study:
     test: dict[str, StudySurvey]
     surveys: dict[str, StudySurvey]
     scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
+    models: list[str] = field(default_factory=list)  # those of section `models` that are trained
+    unscaled: str = "data/none"  # the weights of pointnetkl_unscaled, where it is one of them
 
     def __post_init__(self) -> None:
         """Refuse a study that would test on what it trained on.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pointnetkl import metrics, pose_graph
+from pointnetkl import metrics, pose, pose_graph
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
 
@@ -27,10 +27,16 @@ class Closures:
     edges: Edges  # e of them, from target k to source i > k
     registration: np.ndarray  # (e,) which registration an edge comes from
     node: np.ndarray  # (r,) node i of each registration
-    start: np.ndarray  # (r, 2) where the registration started, metres in the map frame from the pose handed in
-    correction: np.ndarray  # (r, 2) and where it ended
+    start: np.ndarray  # (r, M) where the registration started, metres in the map frame (and yaw) from the pose given
+    correction: np.ndarray  # (r, M) and where it ended
     converged: np.ndarray  # (r,) bool; the others stopped at the last iteration, as some of the labels' do
     rejected: np.ndarray  # nodes that returned to mapped ground but had no point to match: no edge
+    centroid: np.ndarray | None = None  # (n, 2) of each node's points, in its frame, where yaw is found too (M = 3)
+
+    @property
+    def levers(self) -> np.ndarray | None:
+        """Return the centroids (e, 2) of the edges' sources, about which their Q and errors are; None for M = 2."""
+        return None if self.centroid is None else self.centroid[self.edges.source]
 
 
 @dataclass(frozen=True)
@@ -50,29 +56,42 @@ class SurveyGraph:
 def edge_covariances(
     numbers: Sequence[int] | np.ndarray, q: Mapping[int, np.ndarray], closures: Closures, origin: str
 ) -> np.ndarray:
-    """Return each edge's Q_i (e, 2, 2) in m^2: that of the registered submap, its source.
+    """Return each edge's Q_i (e, M, M): that of the registered submap, its source.
 
     Raises:
-        SurveyGraphError: a submap that closes a loop has no covariance.
+        SurveyGraphError: a submap that closes a loop has no covariance, or one with yaw where the graph has none.
     """
+    m = 2 if closures.centroid is None else 3
     sources = [int(numbers[i]) for i in closures.edges.source]
     if missing := [number for number in sources if number not in q]:
         raise SurveyGraphError(f"{origin}: submap {missing[0]} closes a loop and has no covariance; run dvc repro")
-    return np.array([q[number] for number in sources]).reshape(-1, 2, 2)
+    if wrong := [number for number in sources if q[number].shape != (m, m)]:
+        raise SurveyGraphError(
+            f"{origin}: the covariance of submap {wrong[0]} has the shape {q[wrong[0]].shape}, and the graph's"
+            f" registrations find {m} numbers; run dvc repro"
+        )
+    return np.array([q[number] for number in sources]).reshape(-1, m, m)
 
 
 def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
-    """Return each edge's error (e, 2) in metres against poses T_map_submap (n, 4, 4), in the source's frame."""
-    edges = closures.edges
+    """Return each edge's error (e, M) against poses T_map_submap (n, 4, 4), in the source's frame.
+
+    Metres; with yaw the logarithm of what is left, about the centroid of the source's points, as the labels' errors.
+    """
+    edges, centroid = closures.edges, closures.levers
     T_target_source = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
-    return np.asarray((np.linalg.inv(edges.measured) @ T_target_source)[:, :2, 3])
+    left = np.linalg.inv(edges.measured) @ T_target_source
+    if centroid is None:
+        return np.asarray(left[:, :2, 3])
+    yaw = np.arctan2(left[:, 1, 0], left[:, 0, 0])
+    return pose.log(left[:, :2, 3] + (pose.turned(centroid, yaw) - centroid), yaw)
 
 
 def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
-    """Return each registration's error (r, 2) in metres, the mean of its edges' errors."""
+    """Return each registration's error (r, M), the mean of its edges' errors."""
     e = errors(closures, poses)
     count = np.bincount(closures.registration, minlength=len(closures.node))
-    sums = [np.bincount(closures.registration, e[:, axis], len(count)) for axis in (0, 1)]
+    sums = [np.bincount(closures.registration, e[:, axis], len(count)) for axis in range(e.shape[1])]
     return np.stack(sums, -1) / count[:, None]
 
 
@@ -99,7 +118,9 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
 def to_arrays(graph: SurveyGraph) -> dict[str, np.ndarray]:
     """Return the graph as named arrays, with the errors of its loop closures against GT and against the truth."""
     closures, gt, truth = graph.closures, graph.gt, graph.truth
+    with_yaw = {} if closures.centroid is None else {"node_centroid_m": closures.centroid}
     return {
+        **with_yaw,
         "survey": np.array(graph.survey),
         "number": graph.number,
         "navigation": graph.navigation,
@@ -154,4 +175,5 @@ def _closures(arrays: Mapping[str, np.ndarray]) -> Closures:
         correction=arrays["registration_correction_m"],
         converged=arrays["registration_converged"],
         rejected=arrays["rejected_node"],
+        centroid=arrays.get("node_centroid_m"),
     )

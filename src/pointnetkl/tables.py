@@ -1,16 +1,18 @@
 """The paper's four tables and ours beside them, from the numbers of `summary`; None where nothing is known."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
 
-from pointnetkl import paper
+from pointnetkl import metrics, paper
 from pointnetkl.summary import GOLD
 from pointnetkl.text_table import Block, block
 
 Numbers = Mapping[str, Any]
 _SIZES = ("area_km2", "submaps", "sigma_z")
+COVERAGES = tuple(f"coverage_{round(100 * share)}" for share in metrics.COVERAGES)
 
 
 def table_1(datasets: Numbers) -> list[Block]:
@@ -28,47 +30,61 @@ def table_1(datasets: Numbers) -> list[Block]:
     ]
 
 
-def table_2(kl: Numbers, datasets: Numbers, training: list[str]) -> list[Block]:
-    """Return Table II: mean KL divergence (nats) of PointNetKL in training, validation and on each test survey."""
-    trained = _simulated_together([datasets[name]["simulated"] for name in training])
-    means = {name: (trained, kl.get(name)) for name in ("training", "validation")}
-    for name, methods in kl.items():
-        if name in datasets:
-            means[name] = (datasets[name]["simulated"], methods.get("pointnetkl", {}).get("mean"))
-    named = [
-        {"set": name, "simulated": simulated, "kl_nats": mean, "paper": paper.KL.get(name)}
-        for name, (simulated, mean) in means.items()
+def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
+    """Return Table II: mean KL divergence (nats) of every method in training, validation and on each test survey.
+
+    `training` has what is known of methods that learn, {method: {"training": ..., "validation": ...}}, nats.
+    """
+    surveys = [name for name in kl if name in datasets]
+    methods = dict.fromkeys(method for name in surveys for method in kl[name])
+    rows = [
+        {
+            "method": method,
+            **training.get(method, {}),
+            **{heading(name, datasets): kl[name].get(method, {}).get("mean") for name in surveys},
+        }
+        for method in methods
     ]
-    return [block("Table II. KL divergence of PointNetKL.", named, ["set", "simulated", "kl_nats", "paper"])]
+    # decimals are written as they are: the paper's numbers as it prints them
+    known = {heading(n, datasets) if n in datasets else n: Decimal(str(value)) for n, value in paper.KL.items()}
+    rows.append({"method": "pointnetkl, the paper", **known})
+    columns = ["method", "training", "validation", *(heading(name, datasets) for name in surveys)]
+    return [block("Table II. Mean KL divergence by method, nats.", rows, columns)]
+
+
+def heading(survey: str, datasets: Numbers) -> str:
+    """Return a survey's name as the head of a column, which says that it is simulated where it is."""
+    return f"{survey} (simulated)" if datasets[survey]["simulated"] else survey
 
 
 def divergences(kl: Numbers, datasets: Numbers) -> Block:
-    """Return KL(label || Q) in nats of every method on every test survey."""
-    rows = [{**row, **_interval(row.get("ci95")), "paper": _paper_kl(row)} for row in _by_method(kl, datasets)]
-    columns = ("survey", "simulated", "method", "mean", "ci_low", "ci_high", "median", "mean_floor0", "paper")
+    """Return KL(label || Q) in nats and the axis error of every method on every test survey."""
+    rows = [{**row, **interval(row.get("ci95")), "paper": _paper_kl(row)} for row in _by_method(kl, datasets)]
+    columns = ["survey", "simulated", "method", "mean", "ci_low", "ci_high", "median", "mean_floor0", "axis_error_deg"]
+    columns += ["network_better", "paper"]
     return block("KL(label || Q) by method, nats; the interval is of the mean.", rows, columns)
 
 
 def calibrations(calibration: Numbers, datasets: Numbers) -> Block:
     """Return NEES and coverage of every method on held-out registration errors."""
-    columns = ("survey", "simulated", "method", "nees", "coverage_50", "coverage_90", "coverage_95", "coverage_99")
-    rows = list(_by_method(calibration, datasets))
+    columns = ["survey", "simulated", "method", "nees", *COVERAGES, "mc_coverage_95"]
+    gold = {name: methods.get(GOLD, {}).get("coverage_95") for name, methods in calibration.items()}
+    rows = [{**row, "mc_coverage_95": gold[row["survey"]]} for row in _by_method(calibration, datasets)]
     return block("Calibration on registration errors that no label has seen.", rows, columns)
 
 
-def table_3(runtime: Numbers) -> list[Block]:
-    """Return Table III: seconds per submap of every method, the paper's beside."""
-    gold = runtime.get(GOLD, {}).get("mean_s")
+def table_3(runtime: Numbers, methods: Collection[str] = ()) -> list[Block]:
+    """Return Table III: seconds per submap of `methods` and whatever else was timed, the paper's beside."""
+    times = {name: of for name, of in runtime.items() if isinstance(of, Mapping) and "mean_s" in of}
+    gold = times.get(GOLD, {}).get("mean_s")
     rows = [
         {
             "method": name,
-            "mean_s": times["mean_s"],
-            "std_s": times["std_s"],
-            "times_faster": gold / times["mean_s"] if gold and times["mean_s"] else None,
+            **times.get(name, {}),
+            "times_faster": gold / times[name]["mean_s"] if gold and name in times and times[name]["mean_s"] else None,
             **dict(zip(("paper_mean_s", "paper_std_s"), paper.RUNTIME.get(name, (None, None)), strict=True)),
         }
-        for name, times in runtime.items()
-        if isinstance(times, Mapping) and "mean_s" in times
+        for name in dict.fromkeys([*methods, *times])
     ]
     columns = ("method", "mean_s", "std_s", "times_faster", "paper_mean_s", "paper_std_s")
     caption = f"Table III. Seconds per submap. Ours: {machine(runtime)}. The paper: {paper.RUNTIME_MACHINE}."
@@ -84,7 +100,7 @@ def table_4(slam: Numbers, datasets: Numbers) -> list[Block]:
 
 def slam_errors(slam: Numbers, datasets: Numbers) -> Block:
     """Return every method's SLAM errors in metres, and the paper's."""
-    rows = [{**row, **_interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in _by_method(slam, datasets)]
+    rows = [{**row, **interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in _by_method(slam, datasets)]
     columns = [
         "survey",
         "simulated",
@@ -127,16 +143,17 @@ def machine(runtime: Numbers) -> str:
     return ", ".join(f"{key} {value}" for key, value in (named | kept).items())
 
 
+def interval(ci95: Any) -> dict[str, Any]:
+    """Return an interval, or None, as the cells ci_low and ci_high."""
+    low, high = ci95 or (None, None)
+    return {"ci_low": low, "ci_high": high}
+
+
 def _by_method(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:
     for survey, methods in numbers.items():
         for method, values in methods.items() if isinstance(methods, Mapping) else ():
             if isinstance(values, Mapping):
                 yield {"survey": survey, "simulated": datasets[survey]["simulated"], "method": method, **values}
-
-
-def _interval(ci95: Any) -> dict[str, Any]:
-    low, high = ci95 or (None, None)
-    return {"ci_low": low, "ci_high": high}
 
 
 def _paper_sizes(name: str, ours: Numbers) -> dict[str, Any]:

@@ -1,15 +1,13 @@
 """One covariance for every submap: the mean of labels, which is the constant with the least mean KL to them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
-from pointnetkl import gicp
-from pointnetkl.covariance import fitting
+from pointnetkl.covariance import fitting, table
+from pointnetkl.covariance.self_registration import SelfRegistration
 from pointnetkl.submap import Submap
-
-NUMBERS: tuple[str, ...] = ("q_xx_m2", "q_xy_m2", "q_yy_m2")
 
 
 @dataclass(frozen=True)
@@ -17,29 +15,33 @@ class Constant:
     """The same covariance, whatever the submap."""
 
     name: str
-    q: np.ndarray  # (2, 2) m^2
+    q: np.ndarray  # (M, M) m^2 (and m rad, rad^2)
 
     def covariance(self, submap: Submap) -> np.ndarray:
-        """Return the constant, (2, 2) m^2."""
+        """Return the constant, (M, M)."""
         return self.q
 
 
 def mean(name: str, labels: np.ndarray) -> Constant:
-    """Return the mean of labels (n, 2, 2).
+    """Return the mean of labels (n, M, M).
 
     Over the labels of the test survey itself it is the paper's "Constant Q", known only a posteriori.
     """
     return Constant(name, labels.mean(axis=0))
 
 
+def names(dimensions: int) -> tuple[str, ...]:
+    """Return the names of the numbers of a constant (M, M)."""
+    return tuple(table.to_columns(np.zeros((dimensions, dimensions))))
+
+
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the mean of the training labels."""
     q = training.labels.mean(axis=0)
-    numbers = dict(zip(NUMBERS, map(float, (q[0, 0], q[0, 1], q[1, 1])), strict=True))
+    numbers = {name: float(value) for name, value in table.to_columns(q).items()}
     return fitting.Fit(numbers, fitting.mean_kl(training.labels, q, settings.floor_m2))
 
 
-def from_numbers(name: str, numbers: Mapping[str, float], registration: gicp.Settings) -> Constant:
+def from_fit(name: str, fit: fitting.Fit, how: SelfRegistration) -> Constant:
     """Return the constant of a fit's numbers."""
-    xx, xy, yy = (numbers[key] for key in NUMBERS)
-    return Constant(name, np.array([[xx, xy], [xy, yy]]))
+    return Constant(name, table.to_matrices(pd.DataFrame([fit.numbers]))[0])

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import pandas as pd
 
 from pointnetkl import gicp, monte_carlo
-from pointnetkl.covariance import constant, labelled, naive_gicp, sampled, table
+from pointnetkl.covariance import censi, constant, hessian, labelled, mean_field, naive_gicp, sampled, table, unscented
 from pointnetkl.covariance.method import Method
+from pointnetkl.covariance.self_registration import SelfRegistration
 from pointnetkl.settings import require_seed
 
 
@@ -41,7 +42,13 @@ def methods(
 
 def without_labels(settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings) -> list[Method]:
     """Return those of the methods that no label is needed for."""
+    how = SelfRegistration(settings.seed, label, registration)
     return [
         naive_gicp.NaiveGicp(registration),
+        naive_gicp.NaiveMeanCovariance(registration),
+        hessian.Hessian(how),
+        censi.Censi(how),
+        unscented.Unscented(how),
+        mean_field.MeanField(label, registration),
         *(sampled.Sampled(f"mc_{runs}", runs, settings.seed, label, registration) for runs in settings.sampled_runs),
     ]

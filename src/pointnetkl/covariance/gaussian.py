@@ -18,8 +18,12 @@ def kl_divergence(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def with_floor(q: np.ndarray, floor: float) -> np.ndarray:
-    """Return q + floor I: what KL goals are judged on, for label and estimate alike; m^2."""
-    return np.asarray(q + floor * np.eye(q.shape[-1]))
+    """Return q (..., M, M) + floor I, m^2: what KL goals are judged on, for label and estimate alike.
+
+    A yaw (M = 3) gets floor / (100 m)^2, what the floor is at 100 m, the order of a swath.
+    """
+    share = np.array([1.0, 1.0, 1e-4])[: q.shape[-1]]
+    return np.asarray(q + floor * np.diag(share))
 
 
 def check(q: np.ndarray, origin: str) -> np.ndarray:

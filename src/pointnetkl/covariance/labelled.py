@@ -20,10 +20,10 @@ class Labelled:
     """The label of the submap, of one survey."""
 
     name: str
-    labels: Mapping[int, np.ndarray]  # by submap number: (2, 2) m^2
+    labels: Mapping[int, np.ndarray]  # by submap number: (M, M) m^2 (and m rad, rad^2)
 
     def covariance(self, submap: Submap) -> np.ndarray:
-        """Return the submap's label, (2, 2) m^2.
+        """Return the submap's label, (M, M).
 
         Raises:
             LabelledError: the submap has none.
@@ -37,5 +37,5 @@ class Labelled:
 
 
 def from_table(name: str, labels: pd.DataFrame) -> Labelled:
-    """Return the labels of one survey's table (columns submap, q_xx_m2, q_xy_m2, q_yy_m2)."""
+    """Return the labels of one survey's table (submap, and the columns of covariances)."""
     return Labelled(name, dict(zip(labels["submap"].astype(int), table.to_matrices(labels), strict=True)))

@@ -19,7 +19,7 @@ class Method(Protocol):
         """The method's name in every table."""
 
     def covariance(self, submap: Submap) -> np.ndarray:
-        """Return Q, (2, 2) in m^2, in the submap's frame; every preprocessing step included."""
+        """Return Q, (M, M) in m^2 (and m rad, rad^2), in the submap's frame; every preprocessing step included."""
 
 
 def tabulate(methods: Sequence[Method], submaps: Sequence[Submap]) -> pd.DataFrame:

@@ -20,7 +20,7 @@ class Sampled:
     registration: gicp.Settings
 
     def covariance(self, submap: Submap) -> np.ndarray:
-        """Return Q, (2, 2) m^2, the same whatever the order of submaps and the number of workers."""
+        """Return Q, (M, M), the same whatever the order of submaps and the number of workers."""
         # in the place of runs the labels have a stream, 1 or 2: the draws differ even where the stages' seeds agree
         rng = np.random.default_rng([self.seed, zlib.crc32(submap.survey.encode()), submap.number, self.runs])
         return monte_carlo.covariance(monte_carlo.errors(submap, self.runs, rng, self.label, self.registration).errors)

@@ -2,17 +2,18 @@
 
 T is the sum over points of g g^T, g = (dz/dx, dz/dy). Q has T's eigenvectors; along one with eigenvalue w the
 variance is 1 / (c w^gamma + 1 / b) + f: on flat ground, w = 0, the spread b + f that the search starts with, and
-on rugged ground the registration's own floor f.
+on rugged ground the registration's own floor f. With yaw (M = 3) g has dz/dyaw too, a turn about the submap's mean, in
+units of yaw in which its prior is that of x and y.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 from pointnetkl import compute, gicp
-from pointnetkl.covariance import fitting, gaussian
+from pointnetkl.covariance import fitting
+from pointnetkl.covariance.self_registration import SelfRegistration
+from pointnetkl.gicp import linearised
 from pointnetkl.submap import Submap
 
 NUMBERS: tuple[str, ...] = ("c", "gamma", "b_m2", "f_m2")
@@ -30,57 +31,79 @@ class StructureTensor:
     gamma: float
     b_m2: float
     f_m2: float
-    registration: gicp.Settings
+    how: SelfRegistration
 
     def covariance(self, submap: Submap) -> np.ndarray:
-        """Return Q, (2, 2) m^2."""
-        return self.from_tensors(_tensor_of(submap, self.registration)[None])[0]
+        """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
+        return self.from_tensors(_tensor_of(submap, self.how)[None])[0]
 
     def from_tensors(self, tensors: np.ndarray) -> np.ndarray:
-        """Return Q (n, 2, 2) in m^2 of slope tensors (n, 2, 2)."""
-        w, v = np.linalg.eigh(tensors)
-        return (v * _variances(w, self.c, self.gamma, self.b_m2, self.f_m2)[:, None, :]) @ np.swapaxes(v, 1, 2)
+        """Return Q (n, M, M) of tensors (n, M, M)."""
+        numbers = (self.c, self.gamma, self.b_m2, self.f_m2)
+        return _covariances(*_axes(tensors, _units(self.how.prior())), numbers)
 
 
 def slope_tensor(normals: np.ndarray) -> np.ndarray:
     """Return T, (2, 2), the sum of g g^T over upward unit normals (n, 3)."""
+    g = slopes(normals)
+    return np.asarray(g.T @ g)
+
+
+def slopes(normals: np.ndarray) -> np.ndarray:
+    """Return (dz/dx, dz/dy), (n, 2), of upward unit normals (n, 3)."""
     horizontal = np.hypot(normals[:, 0], normals[:, 1])
-    g = -normals[:, :2] / np.maximum(np.maximum(normals[:, 2], horizontal / STEEPEST), 1e-12)[:, None]
-    return g.T @ g
+    return np.asarray(-normals[:, :2] / np.maximum(np.maximum(normals[:, 2], horizontal / STEEPEST), 1e-12)[:, None])
+
+
+def names(dimensions: int) -> tuple[str, ...]:
+    """Return the names of the four numbers."""
+    return NUMBERS
 
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the four numbers with the least mean KL to the training labels."""
-    tensors = compute.in_threads(lambda s: _tensor_of(s, training.registration), training.submaps, "structure_tensor")
-    return fit_tensors(np.stack(tensors), training.labels, settings)
+    tensors = compute.in_threads(lambda s: _tensor_of(s, training.how), training.submaps, "structure_tensor")
+    return fit_tensors(np.stack(tensors), training.how.prior(), training.labels, settings)
 
 
-def fit_tensors(tensors: np.ndarray, labels: np.ndarray, settings: fitting.Settings) -> fitting.Fit:
-    """Return the four numbers with the least mean KL of labels (n, 2, 2) in m^2 to what tensors (n, 2, 2) give."""
-    w, v = np.linalg.eigh(tensors)
-    floored = gaussian.with_floor(labels, settings.floor_m2)
-    # in T's eigenvectors Q is diagonal, and of the label only its diagonal counts
-    along = np.einsum("nji,njk,nki->ni", v, floored, v)
-    constant = -2 - np.linalg.slogdet(floored)[1].mean()
+def fit_tensors(tensors: np.ndarray, prior: np.ndarray, labels: np.ndarray, settings: fitting.Settings) -> fitting.Fit:
+    """Return the four numbers with the least mean KL of labels (n, M, M) to what tensors (n, M, M) give."""
+    w, v = _axes(tensors, _units(prior))
 
     def mean_kl(p: np.ndarray) -> float:
-        q = _variances(w, *_numbers(p)) + settings.floor_m2
-        return float(0.5 * ((along / q + np.log(q)).sum(axis=1).mean() + constant))
+        return fitting.mean_kl(labels, _covariances(w, v, _numbers(p)), settings.floor_m2)
 
-    starts = _starts(w, labels, settings)
-    searches = [optimize.minimize(mean_kl, start, method="L-BFGS-B", bounds=_BOUNDS) for start in starts]
-    best = min(searches, key=lambda search: float(search.fun))
+    best = fitting.search(mean_kl, _starts(w, labels[:, :2, :2], settings), _BOUNDS)
     return fitting.Fit(dict(zip(NUMBERS, _numbers(best.x), strict=True)), float(best.fun))
 
 
-def from_numbers(name: str, numbers: Mapping[str, float], registration: gicp.Settings) -> StructureTensor:
+def from_fit(name: str, fit: fitting.Fit, how: SelfRegistration) -> StructureTensor:
     """Return the method of a fit's numbers."""
-    c, gamma, b, f = (numbers[key] for key in NUMBERS)
-    return StructureTensor(name, c, gamma, b, f, registration)
+    c, gamma, b, f = (fit.numbers[key] for key in NUMBERS)
+    return StructureTensor(name, c, gamma, b, f, how)
 
 
-def _tensor_of(submap: Submap, registration: gicp.Settings) -> np.ndarray:
-    return slope_tensor(gicp.prepare(submap.points, registration).normals.astype(np.float64))
+def _tensor_of(submap: Submap, how: SelfRegistration) -> np.ndarray:
+    # with yaw, T of a turn as well: the slope along the way that the turn takes a point
+    cloud = gicp.prepare(submap.points, how.registration)
+    ways = linearised.jacobian(cloud.points - cloud.centre, how.registration.dimensions)[:, :2]
+    g = np.einsum("ni,nij->nj", slopes(cloud.normals.astype(np.float64)), ways)
+    return np.asarray(g.T @ g)
+
+
+def _units(prior: np.ndarray) -> np.ndarray:
+    # 1, 1 and a yaw in rad that is to its prior what a metre is to that of x and y
+    sigmas = np.sqrt(np.diag(prior))
+    return np.asarray(sigmas / sigmas[0])
+
+
+def _axes(tensors: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    w, v = np.linalg.eigh(tensors * np.outer(units, units))
+    return w, units[:, None] * v
+
+
+def _covariances(w: np.ndarray, v: np.ndarray, numbers: tuple[float, float, float, float]) -> np.ndarray:
+    return np.asarray((v * _variances(w, *numbers)[:, None, :]) @ np.swapaxes(v, 1, 2))
 
 
 def _variances(w: np.ndarray, c: float, gamma: float, b: float, f: float) -> np.ndarray:
@@ -100,5 +123,4 @@ def _starts(w: np.ndarray, labels: np.ndarray, settings: fitting.Settings) -> np
     log_b = np.log(variances.max()) + rng.normal(0, 0.5, settings.starts)
     log_f = np.log(max(float(variances.min()), 1e-5)) + rng.normal(0, 1.0, settings.starts)
     log_c = -log_b - gamma * middle + rng.normal(0, 2.0, settings.starts)
-    lower, upper = np.transpose(_BOUNDS)
-    return np.clip(np.stack([log_c, gamma, log_b, log_f], axis=1), lower, upper)
+    return np.stack([log_c, gamma, log_b, log_f], axis=1)

@@ -1,4 +1,7 @@
-"""The covariance table: whoever made a covariance, it stands in this form."""
+"""The covariance table: whoever made a covariance, it stands in this form.
+
+Q is (M, M), of errors in x, y (M = 2) or in x, y and yaw (M = 3), which adds the columns of YAW.
+"""
 
 from collections.abc import Iterable
 
@@ -8,36 +11,43 @@ import pyarrow as pa
 
 from pointnetkl.covariance import gaussian
 
+_Q = (("q_xx_m2", 0, 0), ("q_xy_m2", 0, 1), ("q_yy_m2", 1, 1))
+_Q_YAW = (("q_xw_m_rad", 0, 2), ("q_yw_m_rad", 1, 2), ("q_ww_rad2", 2, 2))
 SCHEMA = pa.schema(
     [
         ("survey", pa.string()),
         ("submap", pa.int32()),
         ("method", pa.string()),
-        ("q_xx_m2", pa.float64()),
-        ("q_xy_m2", pa.float64()),
-        ("q_yy_m2", pa.float64()),
+        *((name, pa.float64()) for name, _, _ in _Q),
     ]
 )
+YAW = pa.schema([(name, pa.float64()) for name, _, _ in _Q_YAW])  # w is yaw
+
+
+def schema(dimensions: int) -> pa.Schema:
+    """Return the table's schema for covariances of M dimensions, 2 or 3."""
+    return SCHEMA if dimensions == 2 else pa.schema([*SCHEMA, *YAW])
 
 
 def from_matrices(survey: str, method: str, submaps: Iterable[int], q: np.ndarray) -> pd.DataFrame:
-    """Return a table of covariances (n, 2, 2) in m^2, each in its submap's frame, every one checked."""
+    """Return a table of covariances (n, M, M) in m and rad, each in its submap's frame, every one checked."""
     numbers = list(submaps)
     for number, matrix in zip(numbers, q, strict=True):
         gaussian.check(matrix, f"{survey}, submap {number}, {method}")
-    return pd.DataFrame(
-        {
-            "survey": survey,
-            "submap": np.array(numbers, np.int32),
-            "method": method,
-            "q_xx_m2": q[:, 0, 0],
-            "q_xy_m2": q[:, 0, 1],
-            "q_yy_m2": q[:, 1, 1],
-        }
-    )
+    return pd.DataFrame({"survey": survey, "submap": np.array(numbers, np.int32), "method": method, **to_columns(q)})
+
+
+def to_columns(q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the entries of covariances (..., M, M) by the names of their columns."""
+    named = _Q if q.shape[-1] == 2 else (*_Q, *_Q_YAW)
+    return {name: q[..., row, column][()] for name, row, column in named}  # [()]: of one matrix a number, no array
 
 
 def to_matrices(table: pd.DataFrame) -> np.ndarray:
-    """Return the covariances (n, 2, 2) of a table's rows, in their order."""
-    xx, xy, yy = (table[name].to_numpy() for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2"))
-    return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+    """Return the covariances (n, M, M) of a table's rows, in their order; M is 3 where it has the columns of YAW."""
+    named = (*_Q, *_Q_YAW) if YAW.names[-1] in table else _Q
+    m = max(column for _, _, column in named) + 1
+    q = np.empty((len(table), m, m))
+    for name, row, column in named:
+        q[:, row, column] = q[:, column, row] = table[name].to_numpy()
+    return q

@@ -1,5 +1,6 @@
 """GICP (Segal 2009) constrained to x and y, or x, y and yaw: prepare clouds, register one or many noisy copies."""
 
+from pointnetkl.gicp.linearised import Linearised, linearise, solve
 from pointnetkl.gicp.noise import Noise
 from pointnetkl.gicp.registration import (
     Cloud,
@@ -15,11 +16,14 @@ from pointnetkl.gicp.registration import (
 __all__ = [
     "Cloud",
     "GicpError",
+    "Linearised",
     "Noise",
     "Registration",
     "Registrations",
     "Settings",
+    "linearise",
     "prepare",
     "register",
     "register_noisy",
+    "solve",
 ]

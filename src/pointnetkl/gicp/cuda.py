@@ -28,7 +28,10 @@ def register_noisy(
         GicpError: there is no GPU or no numba-cuda, yaw or the clean normals are asked for, or the source is too large.
     """
     if limits.yaw or not limits.recompute:
-        raise GicpError("the engine cuda has x and y alone, and normals of the copy; choose the engine cpu for others")
+        raise GicpError(
+            "the engine cuda finds x and y alone, with normals of the copy; choose label.engine cpu for"
+            " registration.dof xyyaw"
+        )
     require_gpu()
     if len(translations) == 0:
         return Registrations(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.bool_), np.zeros(0, np.int32))

@@ -26,15 +26,19 @@ def _sources() -> str:
 _CACHE = Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / f"kernels-{_sources()}"
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any], *, reorder: bool = False) -> Any:
     """Compile a function to be called from Python, and keep it on disk for the next process.
+
+    With `reorder` its sums may be taken in another order, eight terms at a time; the order then is the compiler's, so
+    only for a function that calls no other, which is compiled alike whenever it is.
 
     Numba's cache knows when the function's own file changes; its folder here changes with every file of the package,
     because a kernel holds what it calls from other files.
     """
     before = config.CACHE_DIR
     config.CACHE_DIR = str(_CACHE)
+    options = {**_OPTIONS, "fastmath": {"nsz", "reassoc"}} if reorder else _OPTIONS
     try:
-        return numba.njit(cache=True, nogil=True, **_OPTIONS)(function)
+        return numba.njit(cache=True, nogil=True, **options)(function)
     finally:
         config.CACHE_DIR = before

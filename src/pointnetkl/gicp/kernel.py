@@ -47,24 +47,26 @@ class _State(NamedTuple):
 
 
 @kernel
-def register(source, target, limits):  # type: ignore[no-untyped-def]
-    """Register a Source onto a Target from where it is.
+def register(source, target, turn, limits):  # type: ignore[no-untyped-def]
+    """Register a Source onto a Target from where it is, turned by so many radians about the target's origin.
 
     Returns the motion (x, y, yaw) in metres and radians, nine sums of which the first three are M_xx, M_xy and M_yy
-    in 1/m^2, iterations, whether the last step was below the tolerance, and matched points. Without any match: zeros.
+    in 1/m^2, iterations, whether the last step was below the tolerance, and matched points. Without any match: the turn
+    alone, and zeros.
     """
     n = source.points.shape[1]
     state = _state(n)
     state.points[:], state.normals[: 3 * n] = source.points, source.normals[: 3 * n]
-    return _align(state, target, limits)
+    return _align(state, target, turn, limits)
 
 
 @kernel
-def register_noisy(source, target, moves, draws, limits):  # type: ignore[no-untyped-def]
+def register_noisy(source, target, moves, turns, draws, limits):  # type: ignore[no-untyped-def]
     """Register copies of a Source, each moved by (x, y) of moves (b, 2) and noise, onto a Target.
 
-    `draws` are the first run, the two words of the key and sigma. Returns motions (b, 3) as x, y in metres and yaw in
-    radians about the target's origin, iterations (b,), and whether the last step was below the tolerance (b,).
+    A search begins with the copy turned by turns (b,), radians, zero without yaw. `draws` are the first run, the two
+    words of the key and sigma. Returns motions (b, 3) as x, y in metres and yaw in radians about the target's origin,
+    iterations (b,), and whether the last step was below the tolerance (b,).
     """
     count, n = len(moves), source.points.shape[1]
     motions, iterations, converged = np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.bool_)
@@ -78,7 +80,7 @@ def register_noisy(source, target, moves, draws, limits):  # type: ignore[no-unt
             normals.of_copy(source.points, shaken, source.neighbourhoods, source.lists, rows, sums, state.normals)
         for axis in range(3):
             _move(source.points[axis], shaken[axis], _f32(moves[b, axis]) if axis < 2 else _f32(0), state.points[axis])
-        motion, _, iterations[b], converged[b], _ = _align(state, target, limits)
+        motion, _, iterations[b], converged[b], _ = _align(state, target, turns[b], limits)
         motions[b, 0], motions[b, 1], motions[b, 2] = motion
     return motions, iterations, converged
 
@@ -102,12 +104,12 @@ def _move(points, noise, by, moved):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _align(state, target, limits):  # type: ignore[no-untyped-def]
+def _align(state, target, turn, limits):  # type: ignore[no-untyped-def]
     # Returns the motion (x, y, yaw), the nine sums of the last solve, iterations, converged, and matched points;
-    # without any match, zeros.
+    # without any match, the turn that it began with, and zeros.
     state.matches[:], state.deadlines[:], state.terms[:] = -1, -1, 0
     sums = np.zeros(9)  # M_xx, M_xy, M_yy, (M d)_x, (M d)_y; and with yaw: M_x,yaw, M_y,yaw, M_yaw,yaw, (J^T M d)_yaw
-    x, y, yaw, way, turned = 0.0, 0.0, 0.0, 0.0, 0.0
+    x, y, yaw, way, turned = 0.0, 0.0, turn, 0.0, 0.0
     lever = turning.lever(state.points[0], state.points[1])
     iterations, matched, converged = 0, 0, False
     while iterations < limits.iterations and not converged:
@@ -115,7 +117,7 @@ def _align(state, target, limits):  # type: ignore[no-untyped-def]
             state.deadlines[:] = -1
         matched += _rematch(state, target, limits, sums, x, y, yaw, way, turned)
         if matched == 0:
-            return (0.0, 0.0, 0.0), np.zeros(9), iterations, False, 0
+            return (0.0, 0.0, yaw), np.zeros(9), iterations, False, 0
         if limits.yaw:
             turning.fill_sums(state, target, limits.epsilon, sums, x, y, yaw)
             step_x, step_y, turn = turning.solve(sums)

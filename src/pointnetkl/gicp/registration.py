@@ -1,11 +1,12 @@
 """Preparing clouds and registering them: what the rest of the package sees of GICP."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from pointnetkl import settings
+from pointnetkl import pose, settings
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.gicp import kernel, matching, neighbours, normals
 from pointnetkl.gicp.noise import Noise
@@ -32,9 +33,17 @@ class Settings:
     max_distance_m: float  # farther points do not match
     tolerance_m: float  # converged when a step is shorter
     max_iterations: int
+    dof: str = "xy"  # what a registration finds: xy (the paper) or xyyaw
+
+    @property
+    def dimensions(self) -> int:
+        """Return M, the size of an error (x, y and perhaps yaw) and of its covariance."""
+        return 3 if self.dof == "xyyaw" else 2
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
+        if self.dof not in ("xy", "xyyaw"):
+            raise ValueError(f"dof is {self.dof!r}, must be xy or xyyaw")
         settings.require_positive(self, "max_distance_m", "tolerance_m", "max_iterations")
         if self.neighbours < 3:
             raise ValueError(f"neighbours is {self.neighbours}, must be at least 3: fewer points have no plane")
@@ -81,7 +90,9 @@ class Registration:
 
     translation: np.ndarray  # (2,) metres: the source, turned about the target's centre and translated, lies on it
     yaw: float  # radians
-    information: np.ndarray  # (2, 2) 1/m^2, the sum of M_xy over the matches at the solution; zero without any
+    # (M, M) 1/m^2 and 1/rad^2, yaw about the target's centre: the sum of J^T M J over the matches at the solution, J
+    # the Jacobian of (x, y) or (x, y, yaw); zero without any match
+    information: np.ndarray
     converged: bool
     iterations: int
     matched_share: float  # of the source's points
@@ -91,7 +102,7 @@ class Registration:
 class Registrations:
     """Outcomes of aligning b noisy copies of one cloud with another."""
 
-    translation: np.ndarray  # (b, 2) metres
+    translation: np.ndarray  # (b, 2) metres, after the turn
     yaw: np.ndarray  # (b,) radians, about the target's centre
     converged: np.ndarray  # (b,) bool
     iterations: np.ndarray  # (b,) int32
@@ -122,22 +133,30 @@ def register(
     source: Cloud,
     target: Cloud,
     settings: Settings,
-    start: tuple[float, float] = (0.0, 0.0),
-    yaw: bool = False,
+    start: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
 ) -> Registration:
-    """Return the motion in x and y, and in yaw if asked, near `start` (metres), that lays the source on the target.
+    """Return the motion by settings.dof, near `start`, that lays the source on the target.
 
-    Both clouds are in the same axes. Without any match within settings.max_distance_m the answer is the start
-    itself, not converged, with zero information.
+    Both clouds are in the same axes. `start` is x, y in metres and perhaps yaw, radians about the target's centre,
+    which only the dof xyyaw has. Without any match within settings.max_distance_m the answer is the start itself, not
+    converged, with zero information.
+
+    Raises:
+        GicpError: the start has a yaw, and the dof is xy.
     """
-    moved = source.as_source(target, np.array([*start, 0.0]))
-    (x, y, turn), sums, iterations, converged, matched = kernel.register(
-        moved, target.as_target, _limits(settings, yaw)
+    begun = np.zeros(3)
+    begun[: len(start)] = start
+    if begun[2] and settings.dimensions == 2:
+        raise GicpError(f"a start with a yaw of {begun[2]:g} rad needs the dof xyyaw, and it is xy")
+    # the kernel's source is moved first and turned then
+    move = pose.turned(begun[:2], -begun[2])
+    (x, y, yaw), sums, iterations, converged, matched = kernel.register(
+        source.as_source(target, np.array([*move, 0.0])), target.as_target, begun[2], _limits(settings)
     )
     return Registration(
-        translation=np.array([x + start[0], y + start[1]]),
-        yaw=turn,
-        information=np.array([[sums[0], sums[1]], [sums[1], sums[2]]]),
+        translation=np.array([x, y]) + pose.turned(move, yaw),
+        yaw=yaw,
+        information=_information(sums, settings.dimensions),
         converged=converged,
         iterations=iterations,
         matched_share=matched / len(source.points),
@@ -147,31 +166,35 @@ def register(
 def register_noisy(
     source: Cloud,
     target: Cloud,
-    translations: np.ndarray,
+    moves: np.ndarray,
     noise: Noise,
     settings: Settings,
-    yaw: bool = False,
     recompute_normals: bool = True,
     engine: str = "cpu",
 ) -> Registrations:
-    """Register copies of the source, each moved by a translation (b, 2) in metres and noise, onto the target.
+    """Register copies of the source, each moved by x, y of moves (b, 2) in metres and noise, onto the target.
 
-    Copy i has the noise of run `noise.first` + i, in the order of source.points. A copy's normals come from its own
-    noisy points and the clean source's neighbour lists, or are the clean source's. The motion found lays the moved,
-    noisy copy on the target. The engine is cpu, or cuda for an NVIDIA GPU: the same answer, up to float32's rounding.
+    With the dof xyyaw moves may be (b, 3): a search begins with the moved copy turned by so many radians. Copy i has
+    the noise of run `noise.first` + i, in the order of source.points. A copy's normals come from its own noisy points
+    and the clean source's neighbour lists, or are the clean source's. The motion found lays the moved, noisy copy on
+    the target. The engine is cpu, or cuda for an NVIDIA GPU: the same answer, up to float32's rounding.
 
     Raises:
-        GicpError: the engine cuda cannot do it, as cuda.register_noisy says.
+        GicpError: moves have a yaw, and the dof is xy; or the engine cuda cannot do it, as cuda.register_noisy says.
     """
-    limits = _limits(settings, yaw, recompute_normals)
+    if moves.shape[1] > settings.dimensions:
+        raise GicpError(f"moves of shape {moves.shape} have a yaw, which the dof {settings.dof} does not find")
+    limits = _limits(settings, recompute_normals)
     if engine == "cuda":
         from pointnetkl.gicp import cuda  # here, because a machine without a GPU needs none of it
 
-        return cuda.register_noisy(source, target, translations, noise, limits)
+        return cuda.register_noisy(source, target, moves, noise, limits)
+    turns = np.ascontiguousarray(moves[:, 2], np.float64) if moves.shape[1] == 3 else np.zeros(len(moves))
     found = kernel.register_noisy(
         source.as_source(target, np.zeros(3)),
         target.as_target,
-        np.ascontiguousarray(translations, np.float64),
+        np.ascontiguousarray(moves[:, :2], np.float64),
+        turns,
         noise.draws(),
         limits,
     )
@@ -179,13 +202,18 @@ def register_noisy(
     return Registrations(motions[:, :2], motions[:, 2], converged, iterations)
 
 
-def _limits(settings: Settings, yaw: bool, recompute: bool = True, keep: bool = True) -> kernel.Limits:
+def _information(sums: np.ndarray, dimensions: int) -> np.ndarray:
+    xx, xy, yy, _, _, x_yaw, y_yaw, yaw_yaw, _ = sums
+    return np.array([[xx, xy, x_yaw], [xy, yy, y_yaw], [x_yaw, y_yaw, yaw_yaw]])[:dimensions, :dimensions]
+
+
+def _limits(settings: Settings, recompute: bool = True, keep: bool = True) -> kernel.Limits:
     return kernel.Limits(
         np.float32(settings.plane_epsilon),
         np.float32(settings.max_distance_m),
         settings.tolerance_m,
         settings.max_iterations,
-        yaw,
+        settings.dimensions == 3,
         recompute,
         keep,
     )

@@ -41,9 +41,10 @@ class Settings:
     beam_spacing_m: float
     layout: Layout
     grid_roughness_m: float = 0.0
+    grid_sunk_m: float = 0.0  # how much deeper the ground lies than in the grid, where that is too shallow to sail
+    centre_m: list[float] = field(default_factory=list)  # easting, northing; a grid has a middle, and may have another
     # of a drawn seabed; a grid brings its own
     crs: str = ""
-    centre_m: list[float] = field(default_factory=list)  # easting, northing
     terrain: seabed.Settings | None = None
 
     def __post_init__(self) -> None:
@@ -75,11 +76,11 @@ def ground(settings: Settings) -> seabed.Seabed:
     if not path.is_file():
         raise SimulationError(f"{path}: there is no such grid; write data/none for a random seabed")
     if not artifacts.is_none(path):
-        return grid.read(path, settings.grid_roughness_m, settings.seed)
-    if settings.terrain is None or not settings.crs or len(settings.centre_m) != 2:
+        centre = _centre(settings.centre_m) if settings.centre_m else None
+        return grid.read(path, settings.grid_roughness_m, settings.seed, settings.grid_sunk_m, centre)
+    if settings.terrain is None or not settings.crs:
         raise SimulationError("a survey without a grid needs `crs`, `centre_m: [easting, northing]` and `terrain`")
-    east, north = settings.centre_m
-    return seabed.Random(settings.terrain, settings.seed, settings.crs, (east, north))
+    return seabed.Random(settings.terrain, settings.seed, settings.crs, _centre(settings.centre_m))
 
 
 def survey(settings: Settings, craft: vehicle.Settings, terrain: seabed.Seabed) -> Iterator[Line]:
@@ -108,6 +109,12 @@ def patch(terrain: seabed.Settings, n_points: int, spacing_m: float, rng: np.ran
     z = seabed.heights(terrain, int(rng.integers(1 << 20)), *(xy + place).T)
     cloud = np.column_stack([xy, z])
     return cloud - cloud.mean(axis=0)
+
+
+def _centre(values: list[float]) -> tuple[float, float]:
+    if len(values) != 2:
+        raise SimulationError(f"centre_m is {values}, must be [easting, northing]")
+    return values[0], values[1]
 
 
 def _line(

@@ -27,6 +27,7 @@ class Grid:
     cell: tuple[float, float]  # its size in x and in y, metres; y negative in a raster whose first row is north
     roughness_m: float
     seed: int
+    centre: tuple[float, float] | None  # of every survey of it; None: where it fits best
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return z (n,) metres at projected coordinates x, y (n,); NaN where the grid has no depth."""
@@ -44,8 +45,10 @@ class Grid:
         """Return the centre of a survey of this size that lies wholly in the valid area, as central as can be.
 
         Raises:
-            GridError: there is no such place.
+            GridError: there is no such place, or the chosen centre is none.
         """
+        if self.centre is not None:
+            return self._checked(self.centre, length_m, width_m, azimuth_rad)
         shape = _rectangle(length_m, width_m, azimuth_rad, self.cell)
         if shape.shape[0] > self.valid.shape[0] or shape.shape[1] > self.valid.shape[1]:
             raise GridError(self._no_room(length_m, width_m))
@@ -59,6 +62,19 @@ class Grid:
         x = self.corner[0] + (column[best] + 0.5) * self.cell[0]
         return float(x), float(self.corner[1] + (row[best] + 0.5) * self.cell[1])
 
+    def _checked(
+        self, centre: tuple[float, float], length_m: float, width_m: float, azimuth_rad: float
+    ) -> tuple[float, float]:
+        rows, columns = np.nonzero(_rectangle(length_m, width_m, azimuth_rad, self.cell))
+        x = centre[0] + (columns - columns.max() / 2) * self.cell[0]
+        y = centre[1] + (rows - rows.max() / 2) * self.cell[1]
+        if not np.isfinite(self(x, y)).all():
+            raise GridError(
+                f"{self.path}: has no depth under a part of a survey of {length_m:.0f} m by {width_m:.0f} m about"
+                f" {centre[0]:.0f}, {centre[1]:.0f}; leave out centre_m to have a place chosen"
+            )
+        return centre
+
     def _no_room(self, length_m: float, width_m: float) -> str:
         area = self.valid.sum() * abs(self.cell[0] * self.cell[1]) / 1e6
         return (
@@ -67,8 +83,14 @@ class Grid:
         )
 
 
-def read(path: Path, roughness_m: float = 0.0, seed: int = 0) -> Grid:
-    """Read a GeoTIFF of heights in metres, up; depths given as positive numbers are turned over.
+def read(
+    path: Path,
+    roughness_m: float = 0.0,
+    seed: int = 0,
+    sunk_m: float = 0.0,
+    centre: tuple[float, float] | None = None,
+) -> Grid:
+    """Read a GeoTIFF of heights in metres, up, and sink it by `sunk_m`; depths given as positive numbers are turned over.
 
     Raises:
         GridError: the file is not a GeoTIFF, or is not a north-up grid in a projected CRS in metres.
@@ -87,12 +109,13 @@ def read(path: Path, roughness_m: float = 0.0, seed: int = 0) -> Grid:
     return Grid(
         crs=f"EPSG:{code}" if code else str(crs.to_wkt()),
         path=path,
-        spline=ndimage.spline_filter(_filled(z, valid), order=3, mode="mirror"),
+        spline=ndimage.spline_filter(_filled(z - sunk_m, valid), order=3, mode="mirror"),
         valid=valid,
         corner=(transform.c, transform.f),
         cell=(transform.a, transform.e),
         roughness_m=roughness_m,
         seed=seed,
+        centre=centre,
     )
 
 

@@ -4,6 +4,7 @@ Terrain is patchy, because a seabed is: one ruggedness, from sediment basins to 
 is at a place, on a logarithmic scale. Ground that is rough at the scale of metres is so at that of a submap too.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -150,22 +151,28 @@ class Random:
 
 def heights(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return z (n,) metres of a random terrain at x, y (n,) metres from its centre."""
-    z = _relief(terrain.relief, seed * 64 + 12, x, y) - terrain.depth_m
-    rugged = _ruggedness(terrain.patch_m, seed * 64 + 40, x, y)
-    # a seed for each feature, so that adding one leaves the others where they were
-    parts = (terrain.hills, terrain.texture, terrain.ridges)
-    for number, part in enumerate(parts):
-        if part is not None:
-            z += _field(part, rugged, seed * 64 + 4 * number, x, y)
-    if terrain.ripples is not None:
-        z += _ripples(terrain.ripples, seed * 64 + 20, x, y)
-    if terrain.outcrops is not None:
-        z += _outcrops(terrain.outcrops, seed * 64 + 24, x, y)
-    if terrain.ploughmarks is not None:
-        z += _ploughmarks(terrain.ploughmarks, seed * 64 + 28, x, y)
-    if terrain.wall is not None:
-        z += _wall(terrain.wall, seed * 64 + 36, x, y)
+    z = np.full(len(x), -terrain.depth_m)
+    for _, part in features(terrain, seed, x, y):
+        z += part
     return z
+
+
+def features(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield what each feature of a terrain adds to z, (n,) metres, by its name in the settings."""
+    # a seed for each feature, so that adding one leaves the others where they were
+    yield "relief", _relief(terrain.relief, seed * 64 + 12, x, y)
+    rugged = _ruggedness(terrain.patch_m, seed * 64 + 40, x, y)
+    for number, name in enumerate(("hills", "texture", "ridges")):
+        if (field := getattr(terrain, name)) is not None:
+            yield name, _field(field, rugged, seed * 64 + 4 * number, x, y)
+    if terrain.ripples is not None:
+        yield "ripples", _ripples(terrain.ripples, seed * 64 + 20, x, y)
+    if terrain.outcrops is not None:
+        yield "outcrops", _outcrops(terrain.outcrops, seed * 64 + 24, x, y)
+    if terrain.ploughmarks is not None:
+        yield "ploughmarks", _ploughmarks(terrain.ploughmarks, seed * 64 + 28, x, y)
+    if terrain.wall is not None:
+        yield "wall", _wall(terrain.wall, seed * 64 + 36, x, y)
 
 
 def _relief(relief: Relief, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:

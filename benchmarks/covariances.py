@@ -1,0 +1,163 @@
+"""KL divergence and calibration of every method, without the SLAM that a report needs; and leave-one-class-out.
+
+For runs too large to finish: it reads what label, estimate and predict have made below --data, of the test surveys
+that have all three, and writes metrics.json, kl.csv, classes.csv and leave_one_class_out.csv below --out.
+"""
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl import (
+    artifacts,
+    dataset,
+    device,
+    metrics,
+    model,
+    model_file,
+    results,
+    settings,
+    simulation,
+    summary,
+    terrain,
+    text_table,
+    training,
+)
+from pointnetkl import study as studies
+from pointnetkl.covariance import table
+from pointnetkl.dataset import Samples
+from pointnetkl.model_file import Stored
+from pointnetkl.summary import Judged
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Judge every survey, then leave out one class after the other."""
+    params, folders = arguments.params, results.Folders(arguments.data, Path("models"), Path("reports"))
+    chosen = settings.read(params, "report", summary.Settings)
+    study = studies.read(params)
+    simulate = settings.read(params, "simulate", dict[str, simulation.Settings])
+    judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
+    known = [name for name in study.train if (folders.data / f"training/{name}").is_dir()]
+    slopes = {name: of_survey(folders, name, simulate) for name in [*known, *judged]}
+    classes, trained = terrain.of_surveys(slopes, known, chosen.terrain_classes)
+    numbers = {
+        "kl": {name: summary.divergences(name, of, chosen) for name, of in judged.items()},
+        "calibration": {name: summary.calibrations(of) for name, of in judged.items()},
+        "by_class": {name: summary.by_class(name, of, classes[name], trained, chosen) for name, of in judged.items()},
+        "submaps": {name: len(classes[name]) for name in classes},
+    }
+    write(arguments.out, "metrics.json", json.dumps(summary.known(summary.published(numbers)), indent=2) + "\n")
+    write(arguments.out, "kl.csv", text_table.csv(pd.DataFrame(kl_rows(numbers))))
+    write(arguments.out, "classes.csv", text_table.csv(pd.DataFrame(class_rows(numbers))))
+    if arguments.network:
+        rows = left_out(arguments, known, classes, judged, folders, chosen)
+        write(arguments.out, "leave_one_class_out.csv", text_table.csv(pd.DataFrame(rows)))
+
+
+def complete(folders: results.Folders, name: str) -> bool:
+    """Whether a survey has labels and both covariance tables."""
+    return all((folders.data / f"covariances/{name}_{kind}.parquet").exists() for kind in ("estimated", "predicted"))
+
+
+def read(folders: results.Folders, name: str) -> Judged:
+    """Read a survey's labels, covariances and held-out errors."""
+    labels = results.read_labels(folders, name)
+    tables = [
+        artifacts.read_table(folders.data / f"covariances/{name}_{kind}.parquet", table.SCHEMA, also=table.YAW)
+        for kind in ("estimated", "predicted")
+    ]
+    covariances = {
+        str(method): table.to_matrices(rows.sort_values("submap"))
+        for method, rows in pd.concat(tables).groupby("method", sort=False)
+    }
+    held_out = artifacts.read_arrays(folders.data / f"labels/{name}_errors.npz")[0]["held_out"]
+    return Judged(labels.q, covariances, held_out)
+
+
+def of_survey(folders: results.Folders, name: str, simulate: dict[str, simulation.Settings]) -> pd.DataFrame:
+    """Return the slopes of a survey's submaps, by which they are classed."""
+    clouds, poses = results.read_points(folders, name)
+    return terrain.slopes(clouds, poses, *results.read_frame(folders, name), simulate.get(name))
+
+
+def kl_rows(numbers: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a row a survey and method."""
+    for name, methods in numbers["kl"].items():
+        for method, kl in methods.items():
+            yield {"survey": name, "method": method, **kl, **numbers["calibration"][name].get(method, {})}
+        yield {"survey": name, "method": summary.GOLD, **numbers["calibration"][name].get(summary.GOLD, {})}
+
+
+def class_rows(numbers: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a row a survey, class and method."""
+    for name, classes in numbers["by_class"].items():
+        for each, of in classes.items():
+            for method, kl in of["kl"].items():
+                which = {"survey": name, "terrain": each, "in_training": of["in_training"], "submaps": of["submaps"]}
+                yield {**which, "method": method, "mean": kl["mean"], "median": kl["median"]}
+
+
+def left_out(
+    arguments: argparse.Namespace,
+    known: list[str],
+    classes: dict[str, np.ndarray],
+    judged: dict[str, Judged],
+    folders: results.Folders,
+    chosen: summary.Settings,
+) -> list[dict[str, Any]]:
+    """Return mean KL on each class of `network` that was trained without it, beside one trained with all."""
+    stored = model_file.read(arguments.network)
+    how = settings.read(arguments.params, "models.network.train", training.Settings)
+    samples, _ = dataset.read(arguments.data / "training", known)
+    describe = stored.model.describe
+    if describe is None:
+        raise SystemExit(f"{arguments.network}: holds a model of the kind {stored.kind}, must be mean_field")
+    samples = dataset.described(arguments.data / "training", samples, describe)
+    of_sample = np.concatenate([classes[name] for name in known])
+    seen = {name: np.stack([describe(points) for points in results.read_points(folders, name)[0]]) for name in judged}
+    rows = []
+    for each in sorted(set(of_sample)):
+        models = {"all": samples, "without": samples.take(np.flatnonzero(of_sample != each))}
+        answers = {key: fit(stored, part, how) for key, part in models.items()}
+        for name, of in judged.items():
+            if np.any(where := classes[name] == each):
+                kl = {
+                    key: metrics.divergence(
+                        of.labels[where], model.predict(found, (seen[name][where],)), chosen.kl_floor_m2
+                    ).mean()
+                    for key, found in answers.items()
+                }
+                left = {"terrain": each, "left_out": int(np.sum(of_sample == each))}
+                rows.append({**left, "survey": name, "submaps": int(where.sum()), **kl})
+                print(rows[-1])
+    return rows
+
+
+def fit(stored: Stored, samples: Samples, how: training.Settings) -> model.Model:
+    """Return a model like the stored one, trained on these samples."""
+    device.prepare(how.seed, how.threads, device.choose("cpu"))
+    made = model_file.kind(stored.kind)[1](dataclasses.replace(stored.model.settings))
+    sets = dataset.split(samples, how.validation_share, how.validation_blocks, how.seed)
+    made.start(sets[0])
+    training.train(made, *sets, how)
+    return made.eval()
+
+
+def write(folder: Path, name: str, text: str) -> None:
+    """Write a file, whole or not at all."""
+    artifacts.write_bytes(folder / name, text.encode())
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--params", type=Path, default=Path("params.yaml"))
+    parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--network", type=Path, help="a trained model of the kind mean_field: leave out classes too")
+    parser.add_argument("--out", type=Path, required=True)
+    main(parser.parse_args())

@@ -1,0 +1,117 @@
+"""A trained model for use on board: a submap's raw points in, the covariance of its registration out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pointnetkl import model, model_file
+from pointnetkl.covariance import gaussian, trained
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.model_file import Stored
+
+FEWEST = 20  # points: a registration takes a plane from as many
+_APART = 10.0  # a point so many times as far out as the others is no part of their submap
+_COARSEST_M = 0.01  # between a coordinate and the next one that its type has
+
+
+class EstimatorError(PointNetKLError):
+    """Points are no submap."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model says of one submap."""
+
+    covariance: np.ndarray  # (M, M): m^2; with yaw (M = 3) m rad and rad^2
+    novelty: float | None  # distance to the training submaps, 1 at the limit; None: the model's file does not say
+
+    @property
+    def is_novel(self) -> bool:
+        """Whether the submap is unlike those that the model was trained on: its covariance is then a guess."""
+        return self.novelty is not None and self.novelty > 1
+
+
+class CovarianceEstimator:
+    """Covariances by a model of any kind. The first call compiles kernels, some seconds; the next take milliseconds."""
+
+    def __init__(self, stored: Stored) -> None:
+        """Take what a model's file holds."""
+        self._stored = stored
+
+    @classmethod
+    def load(cls, path: str | Path) -> "CovarianceEstimator":
+        """Read a model's file (.pt); nothing in it is executed.
+
+        Raises:
+            ModelFileError: the file is missing, damaged or holds something else.
+        """
+        return cls(model_file.read(Path(path)))
+
+    def predict(self, points: np.ndarray) -> np.ndarray:
+        """Return Q of the registration's error, (2, 2) in m^2, of a submap's points (n, 3) in metres, z up.
+
+        Q has the axes of the points' own frame, wherever its origin lies. A model of x, y and yaw gives (3, 3), with
+        m rad and rad^2.
+
+        Raises:
+            EstimatorError: the points are too few, no numbers, without an area, or too coarsely rounded.
+            CovarianceError: the model finds no covariance for such a submap.
+        """
+        return self._covariance(_centred(points))
+
+    def judge(self, points: np.ndarray) -> Prediction:
+        """Return Q as `predict` does, and how unlike the training submaps the submap is.
+
+        Raises:
+            EstimatorError, CovarianceError: as `predict`.
+        """
+        centred, known = _centred(points), self._stored.known
+        return Prediction(self._covariance(centred), known.novelty(centred) if known else None)
+
+    def _covariance(self, centred: np.ndarray) -> np.ndarray:
+        origin = f"a submap of {len(centred)} points"
+        inputs = trained.inputs(self._stored, centred, origin)
+        return gaussian.check(model.predict(self._stored.model, inputs)[0], origin)
+
+
+def _centred(points: np.ndarray) -> np.ndarray:
+    """Return points (n, 3) about their mean, float64, if they are a submap."""
+    given = np.asarray(points)
+    if given.ndim != 2 or given.shape[1] != 3 or given.dtype.kind not in "fiu":
+        raise EstimatorError(
+            f"points are {given.dtype} of shape {given.shape}, must be (n, 3) numbers: x, y, z, metres"
+        )
+    if len(given) < FEWEST:
+        raise EstimatorError(f"a submap of {len(given)} points cannot be registered, {FEWEST} are the least")
+    exact = given.astype(np.float64)
+    if not np.isfinite(exact).all():
+        wrong = int((~np.isfinite(exact)).any(axis=1).sum())
+        raise EstimatorError(f"{wrong} of {len(exact)} points have a coordinate that is no number; drop them")
+    _require_resolution(exact)
+    centred = exact - exact.mean(axis=0)
+    _require_area(centred)
+    return np.asarray(centred)
+
+
+def _require_resolution(points: np.ndarray) -> None:
+    largest = np.abs(points).max()
+    step = float(np.spacing(np.float32(largest)))
+    if step > _COARSEST_M and np.array_equal(points, points.astype(np.float32)):
+        raise EstimatorError(
+            f"coordinates of up to {largest:.3g} m were stored as float32, whole steps of {step:g} m;"
+            " subtract an origin before they are"
+        )
+
+
+def _require_area(centred: np.ndarray) -> None:
+    x, y = centred[:, 0], centred[:, 1]
+    narrow, wide = np.linalg.eigvalsh(np.array([[x @ x, x @ y], [x @ y, y @ y]]))
+    if narrow <= 1e-6 * wide:
+        raise EstimatorError(f"all {len(centred)} points lie on a line or in one place; a submap covers an area")
+    distance = np.sqrt(x * x + y * y)
+    if (farthest := distance.max()) > _APART * (usual := distance.mean()):
+        raise EstimatorError(
+            f"a point lies {farthest:.0f} m from the middle of the submap, the others {usual:.0f} m on average;"
+            " drop what is not seabed"
+        )
