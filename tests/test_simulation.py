@@ -250,7 +250,7 @@ def test_a_survey_over_a_grid_lies_in_its_valid_area(tmp_path: Path):
     z = np.full((200, 300), -60.0)
     z[:, :120] = -9999.0  # the western part is unknown
     path = geotiff(tmp_path / "half.tif", z)
-    how = chosen(grid=str(path), layout=dataclasses.replace(chosen().layout, azimuth_deg=30.0))
+    how = chosen(grid=str(path), centre_m=[], layout=dataclasses.replace(chosen().layout, azimuth_deg=30.0))
     raw, _ = sail(how, craft(), simulation.ground(how))
     placed = georeferenced(raw)
     assert placed[:, 0].min() > 1000 + 240
@@ -260,6 +260,7 @@ def test_a_survey_over_a_grid_lies_in_its_valid_area(tmp_path: Path):
 def test_a_survey_that_does_not_fit_is_refused_in_one_sentence(tmp_path: Path):
     how = chosen(
         grid=str(plane_grid(tmp_path / "plane.tif")),
+        centre_m=[],
         layout=dataclasses.replace(chosen().layout, line_length_m=2000.0),
     )
     with pytest.raises(grid.GridError, match="has no room for a survey of"):
@@ -287,10 +288,28 @@ def test_a_grid_that_is_not_there_is_named():
 @pytest.mark.skipif(not SCITUATE.exists(), reason="real data are not here")
 def test_a_survey_over_a_real_grid_has_its_depths():
     layout = dataclasses.replace(chosen().layout, lines=2, line_length_m=200.0, azimuth_deg=20.0)
-    how = chosen(grid=str(SCITUATE), altitude_m=5.0, layout=layout)
+    how = chosen(grid=str(SCITUATE), centre_m=[], altitude_m=5.0, layout=layout)
     found = simulation.ground(how)
     assert found.crs == "EPSG:32619"
     placed = georeferenced(sail(how, craft(), found)[0])
     assert placed[:, 2] == pytest.approx(found(placed[:, 0], placed[:, 1]), abs=0.1)
     assert placed[:, 2].min() > -30
     assert placed[:, 2].max() < -6
+
+
+def test_a_sunken_grid_lies_so_much_deeper_and_is_else_the_same(tmp_path: Path):
+    path = plane_grid(tmp_path / "plane.tif")
+    x, y = np.random.default_rng(0).uniform([1010, 2010], [1590, 2390], (50, 2)).T
+    np.testing.assert_allclose(grid.read(path, sunk_m=100.0)(x, y), grid.read(path)(x, y) - 100.0, atol=1e-9)
+
+
+def test_a_survey_over_a_grid_may_say_where_its_middle_is(tmp_path: Path):
+    path = str(plane_grid(tmp_path / "plane.tif"))
+    found = simulation.ground(chosen(grid=path, centre_m=[1250.0, 2200.0]))
+    assert found.place(200.0, 100.0, 0.3) == (1250.0, 2200.0)
+    with pytest.raises(
+        grid.GridError, match="has no depth under a part of a survey of 200 m by 100 m about 1050, 2200"
+    ):
+        simulation.ground(chosen(grid=path, centre_m=[1050.0, 2200.0])).place(200.0, 100.0, 0.3)
+    with pytest.raises(simulation.SimulationError, match=r"must be \[easting, northing\]"):
+        simulation.ground(chosen(grid=path, centre_m=[1050.0]))

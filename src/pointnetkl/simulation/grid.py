@@ -90,7 +90,7 @@ def read(
     sunk_m: float = 0.0,
     centre: tuple[float, float] | None = None,
 ) -> Grid:
-    """Read a GeoTIFF of heights in metres, up, and sink it by `sunk_m`; depths given as positive numbers are turned over.
+    """Read a GeoTIFF of heights in metres, up, and sink it by `sunk_m`; positive depths are turned over.
 
     Raises:
         GridError: the file is not a GeoTIFF, or is not a north-up grid in a projected CRS in metres.
