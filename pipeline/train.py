@@ -28,6 +28,9 @@ from pointnetkl import (
 from pointnetkl.covariance import gaussian
 from pointnetkl.model import Model
 
+# Where KL is judged, as report.kl_floor_m2 has it: to read that here would train again whenever a report changes.
+JUDGED_AT_M2 = 0.01
+
 
 def main(arguments: argparse.Namespace) -> None:
     """Train, and write everything."""
@@ -48,7 +51,10 @@ def main(arguments: argparse.Namespace) -> None:
         samples = dataset.described(arguments.training, samples, model.describe)
     sets = dataset.split(samples, chosen.validation_share, chosen.validation_blocks, chosen.seed)
     model.start(sets[0])
-    parameters = {"surveys": surveys, "train": settings.as_metadata(chosen)}
+    label = settings.read(arguments.params, "label", monte_carlo.Settings)
+    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    sections = {"train": chosen, "label": label, "registration": registration}
+    parameters = {"surveys": surveys, **{name: settings.as_metadata(each) for name, each in sections.items()}}
     decides = {**parameters, "kind": kind, "network": settings.as_metadata(network), "device": where.type}
     kept = checkpoint.Checkpoint(arguments.checkpoints, checkpoint.name(decides, sets), arguments.every_s)
     outcome = training.train(model, *sets, chosen, kept, lambda history: write_losses(arguments.loss, history))
@@ -57,10 +63,11 @@ def main(arguments: argparse.Namespace) -> None:
     parts = dataset.split(seen, chosen.validation_share, chosen.validation_blocks, chosen.seed)
     known = novelty.learn(parts[0].described, parts[0].survey)
     artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, parameters, known))
-    score = {**summary(model, sets, outcome, chosen.floor_m2), "flagged": flagged(known, parts)}
+    score = {**summary(model, sets, outcome, JUDGED_AT_M2), "flagged": flagged(known, parts)}
     artifacts.write_json(arguments.summary, score)
     artifacts.write_bytes(arguments.onnx, model_file.to_onnx(model))
-    made_from = origin(arguments.params, studied, samples)
+    counts = {name: int((samples.survey == name).sum()) for name in surveys}
+    made_from = model_card.Origin(studied.train, counts, label, registration)
     card = model_card.text(arguments.model, kind, model, voxel, made_from, score)
     artifacts.write_bytes(arguments.card, card.encode())
     kept.discard()
@@ -73,14 +80,6 @@ def found(params: Path, form: type[Any], samples: dataset.Samples) -> dict[str, 
     label = settings.read(params, "label", monte_carlo.Settings)
     registration = settings.read(params, "registration", gicp.Settings)
     return {"dimensions": samples.label.shape[-1], "conditions": mean_field.conditions(label, registration)}
-
-
-def origin(params: Path, studied: study.Study, samples: dataset.Samples) -> model_card.Origin:
-    """Return what the model's card says of its labels."""
-    label = settings.read(params, "label", monte_carlo.Settings)
-    registration = settings.read(params, "registration", gicp.Settings)
-    counts = {name: int((samples.survey == name).sum()) for name in studied.train}
-    return model_card.Origin(studied.scale, studied.train, counts, label, registration)
 
 
 def write_losses(path: Path, history: pd.DataFrame) -> None:

@@ -15,8 +15,7 @@ from workspace import ROOT, Workspace
 
 DROPPED = ("shetland", "borno_1", "thwaites_11")
 CHANGES = (Path(__file__).parents[1] / "scales/smoke").read_text().replace("-S ", "").split()
-ABSENT = (*(f"surveys.{name}." for name in DROPPED), "scituate")
-SCALE = [f"-S{change}" for change in CHANGES if not any(name in change for name in ABSENT)]
+SCALE = [f"-S{change}" for change in CHANGES if not any(f"surveys.{name}." in change for name in DROPPED)]
 
 CHEAP = ("models.pointnetkl.train.steps=2", "vary.submaps=1", "vary.runs=45", "slam.repetitions=1", "time.submaps=1")
 
@@ -117,7 +116,7 @@ def test_with_yaw_every_stage_gives_covariances_of_x_y_and_yaw(tmp_path: Path):
     workspace.drop_surveys(*others)
     workspace.commit("two surveys, x, y and yaw")
     asked = [
-        *(c for c in CHANGES if not any(name in c for name in (*(f"surveys.{n}." for n in others), "scituate"))),
+        *(c for c in CHANGES if not any(f"surveys.{name}." in c for name in others)),
         "registration.dof=xyyaw",
         *CHEAP,
     ]

@@ -17,6 +17,8 @@ def test_a_survey_without_its_grid_becomes_comments_and_nothing_else_changes(
     path.write_text((ROOT / "params.yaml").read_text())
     (tmp_path / "data").mkdir()
     (tmp_path / "data/none").touch()
+    (tmp_path / "data/grids").mkdir()
+    (tmp_path / "data/grids/scituate_5m.tif.dvc").touch()
     monkeypatch.chdir(tmp_path)
     repro.leave_out_gridless(path)
     after = yaml.safe_load(path.read_text())

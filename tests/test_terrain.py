@@ -99,7 +99,7 @@ def settings(**changes: object) -> simulation.Settings:
     layout = simulation.Layout(2, 100.0, 50.0, 0.0, 0.0, 0.0)
     wall = dataclasses.replace(PLAIN, wall=seabed.Wall(60.0, 90.0, 0.0, 400.0))
     base = simulation.Settings(
-        1, "hugin", "data/none", 50.0, 1.0, 1.0, layout, 0.0, "EPSG:32632", [1000.0, 2000.0], wall
+        1, "hugin", "data/none", 50.0, 1.0, 1.0, layout, crs="EPSG:32632", centre_m=[1000.0, 2000.0], terrain=wall
     )
     return dataclasses.replace(base, **changes)
 

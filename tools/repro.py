@@ -37,11 +37,12 @@ def main() -> int:
 
 
 def leave_out_gridless(path: Path) -> None:
-    """Make comments of the lines of surveys whose grid is missing, and say so."""
+    """Make comments of the lines of test surveys whose grid is missing, and say so."""
     params = yaml.safe_load(path.read_text())
-    for name, survey in params["simulate"].items():
-        grid = survey["grid"]
-        if not Path(grid).exists():
+    for name in sorted(params["study"]["test"].keys() & params["simulate"].keys()):
+        grid = params["simulate"][name]["grid"]
+        # one that DVC knows of may be somewhere else; one that it does not know of is a mistake, which it will name
+        if not Path(grid).exists() and Path(f"{grid}.dvc").exists():
             path.write_text(without(path.read_text(), name))
             print(
                 f"{grid} is not here, so the survey {name} is left out: its lines in params.yaml are comments now."

@@ -21,11 +21,23 @@ _TAKES = {
 }
 
 
+_CHOSEN = {
+    "pointnetkl": "It is the paper's.",
+    "mean_field": "Why this kind, and which of its numbers were chosen with those surveys in sight: `docs/network.md`.",
+}
+_LIMITS = {
+    "pointnetkl": "",
+    "mean_field": (
+        "- What it knows of registration is of copies of the very points (`label.copy: same`). Against labels of\n"
+        "  `split` it is too confident wherever points alone hold a copy.\n"
+    ),
+}
+
+
 @dataclass(frozen=True)
 class Origin:
     """What a model was made from."""
 
-    scale: str
     surveys: Mapping[str, StudySurvey]
     submaps: Mapping[str, int]  # by survey, those validated on included
     label: monte_carlo.Settings
@@ -38,7 +50,7 @@ def text(name: str, kind: str, model: Model, voxel: float, origin: Origin, summa
     return f"""# {name}
 
 The covariance Q of a submap's registration by GICP, from its points alone: for the weight of a loop closure.
-Trained by `dvc repro train@{name}` at scale `{origin.scale}`; this page is written with the weights.
+Trained by `dvc repro train@{name}`; this page is written with the weights.
 
 | | |
 |---|---|
@@ -60,7 +72,7 @@ Trained by `dvc repro train@{name}` at scale `{origin.scale}`; this page is writ
 {_measures(summary)}
 
 Validation submaps are neighbours of training ones. What counts is unseen surveys: `reports/tables/kl.csv` and
-`calibration.csv` have them, beside the other methods. Why this kind: `docs/network.md`.
+`calibration.csv` have them, beside the other methods. {_CHOSEN[kind]}
 
 ## Limits
 
@@ -71,7 +83,8 @@ Validation submaps are neighbours of training ones. What counts is unseen survey
   (the median of such surveys), here for {_share(summary, "training")} of the training and
   {_share(summary, "validation")} of the validation submaps.
   A submap that is not flagged may still be wrong: points that look usual are all that it sees.
-- Where registrations end in one of several places, Q is their mean square and no single Gaussian fits them.
+{_LIMITS[kind]}- Where registrations end in one of several places, Q is their mean square and no single Gaussian
+  fits them.
 """
 
 

@@ -230,10 +230,10 @@ def _simulated(simulated: Sequence[str], measured: Sequence[str]) -> str:
         return "Every survey here is measured, none simulated."
     others = f" Measured: {', '.join(measured)}." if measured else ""
     return (
-        f"Simulated: {', '.join(simulated)}. Terrain, vehicle and sonar of these are models, stand-ins for"
-        " surveys whose raw data are not public: they can show whether the method works, not confirm the"
-        " paper's numbers. At demo scale each terrain's seed was chosen, by its slopes and not by any label or"
-        f" result, so that a small survey holds flat and rugged ground alike.{others}"
+        f"Simulated: {', '.join(simulated)}. Vehicle, sonar and terrain (but for real grids) are models, stand-ins for"
+        " surveys whose raw data are not public: they can show whether the method works, not confirm the paper's"
+        " numbers. At demo scale each terrain's seed, and each grid's place, was chosen by slopes and not by any"
+        f" label or result, so that a small survey holds flat and rugged ground alike.{others}"
     )
 
 

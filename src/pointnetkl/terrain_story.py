@@ -21,7 +21,8 @@ def classes(shown: Blocks) -> Section:
             "Means over a survey hide what they are of. A simulated submap is named after the feature of its terrain"
             " that gives it the most slope; where that is no special feature, or nobody knows what made the ground"
             " (real grids, measured surveys: their slopes are taken from the points), it is flat, smooth or rugged by"
-            " its rms slope (report.terrain_classes). relief: the flank between a basin and a plateau.",
+            " its rms slope (report.terrain_classes): such a class says how steep ground is, not that training has seen"
+            " the like. relief: the flank between a basin and a plateau.",
             "A feature that no training submap has as a slope worth holding on to names every submap in which it has"
             f" one, whatever else is there. {unseen(terrain)}",
             "Few submaps make a rough row: look at their number first. by_class.csv has every measure, with intervals"
@@ -48,6 +49,8 @@ def limits(copies: Mapping[str, str], datasets: Mapping[str, Mapping[str, object
             "A survey over a real grid has real shapes, but simulated pings: noise, drop-outs and attitude are a model"
             " of a sonar. Nothing of the ground below a grid's cell (5 m, say) is in it, no boulder, ripple or edge of"
             " rock: there it is smooth, or has a stated roughness that is made up (grid_roughness_m).",
+            "No survey that is tested on was trained on, but the default's three were looked at while network was made:"
+            " docs/network.md says which of its numbers were chosen with their results in sight.",
             "Labels come from our own registration, GICP held to the plane, and so do the held-out errors that Q is"
             " calibrated on: both are of a submap against a noisy copy of itself. They say how well a method knows this"
             " registration's error, not how a vehicle's navigation errs. Only the SLAM section meets other passes over"

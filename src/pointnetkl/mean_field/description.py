@@ -46,11 +46,12 @@ class Description:
     extent: np.ndarray  # (2, 2) m^2, second moments of the points about their mean
     points: int
     spacing_m: float
+    tolerance_m: float  # of the registrations
 
     @property
     def covariance(self) -> np.ndarray:
-        """Return the mean of e e^T over the ends, (2, 2) m^2."""
-        return np.asarray(self.ends.T @ self.ends / len(self.ends))
+        """Return the mean of e e^T over the ends, (2, 2) m^2, and what the registrations' tolerance adds to it."""
+        return np.asarray(self.ends.T @ self.ends / len(self.ends) + self.tolerance_m**2 * np.eye(2))
 
     def yaw_variance(self, given: Conditions) -> float:
         """Return the variance of a registration's yaw, rad^2: what noise leaves it, and what it keeps of its prior.
@@ -77,7 +78,17 @@ class _Ground(NamedTuple):
 
 
 def conditions(label: monte_carlo.Settings, registration: gicp.Settings) -> Conditions:
-    """Return the conditions under which labels are made."""
+    """Return the conditions under which labels are made; the copy is always of the very points, as with copy `same`.
+
+    Raises:
+        MeanFieldError: points match no farther than the starts are spread, which no table of forces knows.
+    """
+    if registration.max_distance_m < _REACH * math.sqrt(label.prior_variance_m2):
+        raise MeanFieldError(
+            f"max_distance_m of registration is {registration.max_distance_m:g}, the mean field holds from {_REACH:g}"
+            f" sigmas of the starts on, {_REACH * math.sqrt(label.prior_variance_m2):g} m; raise it, or lower"
+            " label.prior_variance_m2"
+        )
     return Conditions(
         registration.neighbours,
         registration.plane_epsilon,
@@ -108,7 +119,7 @@ def describe(points: np.ndarray, given: Conditions) -> Description:
     starts, noises = settling.draws()
     ends, iterations = settling.settle(
         slopes, apart, pulls, ground.cell / forces.FINE, given.prior_sigma_m * starts, noises, given.noise_sigma_m,
-        given.tolerance_m, given.max_iterations, ground.cell,
+        given.tolerance_m, given.max_iterations,
     )  # fmt: skip
     xx, xy, yy, noise_xx, noise_xy, noise_yy, count = slopes[len(slopes) // 2, len(slopes) // 2, 2:]
     return Description(
@@ -120,6 +131,7 @@ def describe(points: np.ndarray, given: Conditions) -> Description:
         centred[:, :2].T @ centred[:, :2] / len(centred),
         len(centred),
         ground.cell,
+        given.tolerance_m,
     )
 
 

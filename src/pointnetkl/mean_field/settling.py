@@ -10,9 +10,6 @@ from pointnetkl.gicp.device import device, kernel
 
 _DRAWS = 128  # of starts and noise, each turned by quarters: 512 copies
 _DIMENSIONS = 6  # start x, y; noise on the slopes' force x, y; noise on the pull x, y
-# How fast points lose their own places to others with the offset, in spacings: at 0.34 half of them have. The best of
-# four values by the labels of the training surveys; nothing else here is fitted.
-_OWN = 6.0
 IN_PLANE = 0.5  # of M = (C_q + C_p)^-1 along a plane, where both C are 1
 
 
@@ -46,12 +43,11 @@ def settle(
     sigma: float,
     tolerance: float,
     iterations: int,
-    spacing_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where copies end (n, 2), metres, and after how many iterations (n,).
 
     `slopes` and `pulls` are the tables of `forces`, their offsets `cell` and `step` metres apart; a copy beyond them
-    meets what stands at their border. `sigma` is the noise of each coordinate of a point, `spacing_m` their spacing.
+    meets what stands at their border. `sigma` is the noise of each coordinate of a point.
     """
     ends = np.empty((len(starts), 2))
     taken = np.zeros(len(starts), np.int32)
@@ -60,7 +56,6 @@ def settle(
         x, y = starts[k, 0], starts[k, 1]
         for i in range(iterations):
             _look_up(slopes, x / cell, y / cell, at)
-            _hold(slopes, x, y, spacing_m, at)
             px, py = _pull(pulls, x / step, y / step)
             ux, uy = _newton(at, px, py, noises[k], sigma)
             x, y = x + ux, y + uy
@@ -86,18 +81,6 @@ def _look_up(table: np.ndarray, u: float, v: float, at: np.ndarray) -> None:
     for k in range(table.shape[2]):
         below = (1 - p) * table[i, j, k] + p * table[i + 1, j, k]
         at[k] = (1 - q) * below + q * ((1 - p) * table[i, j + 1, k] + p * table[i + 1, j + 1, k])
-
-
-@device  # type: ignore[untyped-decorator]
-def _hold(table: np.ndarray, x: float, y: float, spacing_m: float, at: np.ndarray) -> None:
-    """Give the points that match themselves their due: their force is the stiffness at home times the offset."""
-    middle = len(table) // 2
-    own = math.exp(-_OWN * (x * x + y * y) / (spacing_m * spacing_m))
-    xx, xy, yy = table[middle, middle, 2], table[middle, middle, 3], table[middle, middle, 4]
-    at[0] = (1 - own) * at[0] - own * (xx * x + xy * y)
-    at[1] = (1 - own) * at[1] - own * (xy * x + yy * y)
-    for k in range(2, len(at)):
-        at[k] = (1 - own) * at[k] + own * table[middle, middle, k]
 
 
 @device  # type: ignore[untyped-decorator]
