@@ -16,7 +16,7 @@ def main(arguments: argparse.Namespace) -> None:
     how = SelfRegistration(chosen.seed, label, registration)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     fitted = learned.methods(learned.read(arguments.fits, registration.dimensions), how)
-    models = [trained.load(path) for path in arguments.models if not artifacts.is_none(path)]
+    models = trained.load_all(arguments.models, label, registration)
     covariances = method.tabulate([*fitted, *models], submaps)
     sections = {"predict": chosen, "label": label, "registration": registration}
     params = {section: settings.as_metadata(values) for section, values in sections.items()}

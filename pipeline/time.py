@@ -50,7 +50,7 @@ def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Met
         constant.Constant("constant", np.eye(registration.dimensions)),
         *estimated.without_labels(settings.read(arguments.params, "estimate", estimated.Settings), label, registration),
         *learned.methods(fits, SelfRegistration(seed, label, registration)),
-        *(trained.load(path) for path in arguments.models if not artifacts.is_none(path)),
+        *trained.load_all(arguments.models, label, registration),
     ]
 
 

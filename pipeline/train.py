@@ -35,6 +35,10 @@ JUDGED_AT_M2 = 0.01
 def main(arguments: argparse.Namespace) -> None:
     """Train, and write everything."""
     kind = settings.read(arguments.params, f"models.{arguments.model}.kind", str)
+    if kind not in model_file.KINDS:
+        known = " or ".join(model_file.KINDS)
+        place = f"{arguments.params}: models.{arguments.model}.kind"
+        raise settings.SettingsError(f"{place} is {kind!r}, must be {known}")
     chosen = settings.read(arguments.params, f"models.{arguments.model}.train", training.Settings)
     form, make = model_file.kind(kind)
     network = settings.read(arguments.params, f"models.{arguments.model}.network", form)

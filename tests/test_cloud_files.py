@@ -102,6 +102,11 @@ def test_a_cut_file_is_refused_at_any_length(tmp_path: Path, form: str):
         ("VERSION 0.7\nFIELDS x y\nSIZE 4 4\nTYPE F F\nPOINTS 1\nDATA ascii\n1 2\n", "have no z"),
         ("VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 4000000000\nDATA binary\nabc", "0 of 4000000000"),
         ("VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS -1\nDATA binary\nabc", "is damaged"),
+        ("VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS -5\nDATA ascii\n" + 9 * "1 2 3\n", "has -5 points"),
+        ("VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS -5\nDATA binary\n" + 60 * " ", "has -5 points"),
+        ("easting_m (UTM32),northing_m (UTM32),depth\n1,2,3\n", "its columns are easting_m, northing_m, depth; name"),
+        ("id lat2 lon2\n1 2 3\n", "its columns are id, lat2, lon2; name"),
+        ("x,y,z\n", "holds no points"),
         ("ply\nformat ascii 1.0\nelement face 1\nproperty int a\nend_header\n1\n", "first element is not `vertex`"),
     ],
 )
@@ -111,6 +116,25 @@ def test_what_is_no_cloud_is_refused_in_a_sentence(tmp_path: Path, content: byte
         cloud_files.read(path)
     assert str(found.value).startswith(str(path))
     assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["id,x,y,z", "z,y,x,id", "Y_m,Z_m,id 2,X_m", "z id y x", "x [m] y [m] z [m] id", '"x (UTM32)","z","y","id"'],
+)
+def test_named_columns_are_taken_whatever_their_order(tmp_path: Path, head: str):
+    names = {"x": "1.5", "y": "2.5", "z": "-3.5"}
+    separator = "," if "," in head else " "
+    bare = head.lower().replace(" [m]", "").replace(" (utm32)", "").replace('"', "").replace("_m", "")
+    row = separator.join(names.get(name, "7") for name in bare.split(separator))
+    path = by_numpy(tmp_path, "named.csv", f"{head}\n{row}\n{row}\n")
+    np.testing.assert_array_equal(cloud_files.read(path), 2 * [[1.5, 2.5, -3.5]])
+
+
+def test_a_bare_array_is_asked_for_as_an_archive(tmp_path: Path):
+    np.save(tmp_path / "s.npy", POINTS)
+    with pytest.raises(CloudFileError, match=r"s\.npy: is an \.npy file; write an \.npz with an array `points`"):
+        cloud_files.read(tmp_path / "s.npy")
 
 
 def test_a_missing_file_is_named(tmp_path: Path):

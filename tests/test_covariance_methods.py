@@ -194,7 +194,7 @@ def test_no_submaps_is_an_error():
         method.tabulate([naive_gicp.NaiveGicp(REGISTRATION)], [])
 
 
-@pytest.mark.parametrize("runs", [[13, 13], [2], [0]])
+@pytest.mark.parametrize("runs", [[13, 13], [2], [0], [10**12]])
 def test_senseless_numbers_of_draws_are_refused(runs):
     with pytest.raises(ValueError, match="sampled_runs"):
         estimated.Settings(seed=0, sampled_runs=runs)
@@ -248,6 +248,14 @@ def test_a_damaged_file_of_fits_is_named_with_what_it_lacks(tmp_path, fits):
     path.write_text(json.dumps(content)[:40])
     with pytest.raises(artifacts.ArtifactError, match="damaged"):
         learned.read(path, 2)
+
+
+def test_fits_of_another_dof_say_so(tmp_path, fits):
+    path = tmp_path / "fits.json"
+    learned.write(path, fits, {"registration": {"dof": "xy"}})
+    assert learned.read(path, 2) == fits
+    with pytest.raises(fitting.FittingError, match=r"are of registration\.dof xy, and the parameters have xyyaw; run"):
+        learned.read(path, 3)
 
 
 def test_a_training_submap_without_a_label_is_an_error(labels):

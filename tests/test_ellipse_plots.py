@@ -39,10 +39,10 @@ def two() -> list[cases.Survey]:
 
 
 def test_submaps_are_chosen_from_the_largest_label_to_the_smallest(two: list[cases.Survey]):
-    chosen = cases.flat_to_rugged(two[0], ["network", "cello"], 3)
+    chosen = cases.large_to_small(two[0], ["network", "cello"], 3)
     assert [case.submap for case in chosen] == [101, 102, 103]
     assert list(chosen[0].covariances) == ["network"]
-    assert len(cases.flat_to_rugged(two[1], ["network"], 4)) == 2
+    assert len(cases.large_to_small(two[1], ["network"], 4)) == 2
 
 
 def test_the_worst_submaps_of_all_surveys_come_worst_first(two: list[cases.Survey]):
@@ -96,7 +96,7 @@ def test_what_is_too_large_for_a_gallery_is_said_to_be_beyond(two: list[cases.Su
 def test_pages_are_small_and_the_same_bytes_twice(two: list[cases.Survey]):
     for draw in (
         lambda: ellipse_plots.worst("network", cases.worst(two, "network", 10)),
-        lambda: ellipse_plots.gallery({each.name: cases.flat_to_rugged(each, ["network"], 4) for each in two}),
+        lambda: ellipse_plots.gallery({each.name: cases.large_to_small(each, ["network"], 4) for each in two}),
     ):
         first = plots.png(draw())
         assert first == plots.png(draw())

@@ -37,5 +37,7 @@ def test_methods_of_one_family_differ_in_their_lines():
     assert len(set(looks)) == 4  # and the diagonal
 
 
-def test_without_errors_the_figure_is_empty_and_no_error():
-    assert plots.png(reliability_plots.reliability(reliability_plots.EMPTY))
+def test_without_held_out_errors_the_figure_says_so():
+    figure = reliability_plots.reliability(reliability_plots.EMPTY)
+    assert [text.get_text() for text in figure.texts] == ["no held-out errors: label.held_out_runs is 0"]
+    assert plots.png(figure)

@@ -28,6 +28,28 @@ def test_a_survey_without_its_grid_becomes_comments_and_nothing_else_changes(
     assert "data/grids/scituate_5m.tif is not here" in capsys.readouterr().out
 
 
+def test_a_line_that_dvc_has_folded_is_left_out_whole():
+    folded = """\
+study:
+  test: &test
+    scituate: {raw: data/raw/scituate, truth: data/truth,
+      label_runs: 50}
+    borno_8: {raw: data/raw/borno_8,
+      label_runs: 50}
+simulate:
+  scituate:
+    seed: 1
+    layout: {lines: 5,
+      line_length_m: 7.0}
+  other: {seed: 2}
+"""
+    left = yaml.safe_load(repro.without(folded, "scituate"))
+    assert left == {
+        "study": {"test": {"borno_8": {"raw": "data/raw/borno_8", "label_runs": 50}}},
+        "simulate": {"other": {"seed": 2}},
+    }
+
+
 def test_a_survey_with_its_grid_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "params.yaml"
     path.write_text((ROOT / "params.yaml").read_text())

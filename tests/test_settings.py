@@ -148,6 +148,13 @@ def test_the_study_of_the_project_holds_every_survey_once():
     assert all(study.survey(path, name) == line for name, line in whole.surveys.items())
 
 
+@pytest.mark.parametrize("models", [[], ["network"], ["pointnetkl"], ["pointnetkl", "network", "network"]])
+def test_a_study_without_the_models_that_predict_is_refused(tmp_path: Path, models: list[str]):
+    content = {"train": {}, "test": {}, "surveys": {}, "models": models}
+    message = f"params.yaml: s.models is {models}, must name pointnetkl and network, and each model once"
+    assert complaint(tmp_path, content, kind=study.Study) == message
+
+
 def test_metadata_holds_what_was_read():
     assert settings.as_metadata(Inner(1, 2.0)) == dataclasses.asdict(Inner(1, 2.0))
 

@@ -46,19 +46,20 @@ def leave_out_gridless(path: Path) -> None:
             path.write_text(without(path.read_text(), name))
             print(
                 f"{grid} is not here, so the survey {name} is left out: its lines in params.yaml are comments now."
-                f"\ndata/grids/README.md says where the grid is from; put it there, then git checkout params.yaml"
+                f"\ndata/grids/README.md says where the grid is from; put it there, and take the # away again"
             )
 
 
 def without(text: str, survey: str) -> str:
     """Return parameters with a survey's line below study.test and its entry below simulate as comments."""
-    lines, section, inside = [], "", False
+    lines, section, inside, listed = [], "", False, False
     for line in text.splitlines():
         if re.match(r"\w", line):
             section = line.split(":")[0]
         if re.match(r" {0,2}\w", line):
             inside = section == "simulate" and line.split("#")[0].strip() == f"{survey}:"
-        listed = section == "study" and line.startswith(f"    {survey}: ")
+        if not line.startswith("     "):  # DVC folds long lines: what is indented deeper goes on with the one before
+            listed = section == "study" and line.startswith(f"    {survey}:")
         lines.append(f"# {line}" if inside or listed else line)
     return "\n".join(lines) + "\n"
 

@@ -1,4 +1,4 @@
-"""Which submaps a figure shows: some from flat to rugged, or those that a method is most wrong about."""
+"""Which submaps a figure shows: some from large label to small, or those that a method is most wrong about."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class Survey:
         )
 
 
-def flat_to_rugged(survey: Survey, methods: Sequence[str], count: int) -> list[Case]:
+def large_to_small(survey: Survey, methods: Sequence[str], count: int) -> list[Case]:
     """Return at most `count` submaps, evenly spaced by the trace of their labels in x, y, the largest label first."""
     order = np.argsort(-np.trace(survey.labels.q[:, :2, :2], axis1=1, axis2=2), kind="stable")
     chosen = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)

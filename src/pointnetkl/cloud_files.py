@@ -35,8 +35,9 @@ class _Layout:
 def read(path: Path) -> np.ndarray:
     """Return the points (n, 3) of a file, float64, in the unit and frame that it has.
 
-    PCD (its VIEWPOINT is not applied) and PLY, of any further fields; NPZ with an array `points`; or text, x, y and z
-    in the first three columns, between commas or blanks, after `#` or `//` comments.
+    PCD (its VIEWPOINT is not applied) and PLY, of any further fields; NPZ with an array `points`; or text, between
+    commas or blanks, after `#` or `//` comments, x, y and z in the columns that its first line names so (or x_m, y_m,
+    z_m), and where that names none, in the first three.
 
     Raises:
         CloudFileError: the file is missing, damaged or of another form.
@@ -56,6 +57,8 @@ def read(path: Path) -> np.ndarray:
 def _points(path: Path, content: bytes) -> np.ndarray:
     if content.startswith(b"PK\x03\x04"):
         return _from_npz(path, content)
+    if content.startswith(b"\x93NUMPY"):
+        raise CloudFileError(f"{path}: is an .npy file; write an .npz with an array `points`")
     if content.startswith(b"ply"):
         return _from_ply(path, content)
     if re.match(rb"(?:#.*\r?\n|\s)*(?:VERSION|FIELDS)\s", content):
@@ -73,11 +76,23 @@ def _from_npz(path: Path, content: bytes) -> np.ndarray:
 def _from_text(path: Path, content: bytes) -> np.ndarray:
     lines = [re.split("#|//", line)[0].strip() for line in content.decode("utf-8-sig").splitlines()]
     lines = [line for line in lines if line]
-    if lines and not re.search(r"\d", lines[0]):
-        lines = lines[1:]  # the columns' names
+    named = _named(path, lines[0]) if lines else None
+    lines = lines[1:] if named else lines
     if not lines:
         raise CloudFileError(f"{path}: holds no points")
-    return np.loadtxt(lines, delimiter="," if "," in lines[0] else None, usecols=(0, 1, 2), ndmin=2)
+    return np.loadtxt(lines, delimiter="," if "," in lines[0] else None, usecols=named or (0, 1, 2), ndmin=2)
+
+
+def _named(path: Path, line: str) -> list[int] | None:
+    """Return which columns a text's first line names x, y and z; None where it has numbers."""
+    bare = re.sub(r"\s*(\[.*?\]|\(.*?\))", "", line)  # of units, which may stand behind a blank
+    names = [name.strip().strip('"') for name in (bare.split(",") if "," in bare else bare.split())]
+    known = [name.lower().removesuffix("_m") for name in names]
+    if set(_AXES) <= set(known):
+        return [known.index(axis) for axis in _AXES]
+    if any(re.match(r"[-+.]*\d|[-+]?(nan|inf)\b", name) for name in known):
+        return None
+    raise CloudFileError(f"{path}: its columns are {', '.join(names)}; name those of the points x, y and z")
 
 
 def _from_pcd(path: Path, content: bytes) -> np.ndarray:
@@ -119,6 +134,8 @@ def _rows(path: Path, body: bytes, layout: _Layout) -> np.ndarray:
     """Return x, y, z of a header's rows; a library that fills up a cut file with zeros would be no help."""
     if missing := [axis for axis in _AXES if axis not in (layout.row.names or ())]:
         raise CloudFileError(f"{path}: its points have no {missing[0]}")
+    if layout.rows < 0:
+        raise CloudFileError(f"{path}: is damaged; its header says that it has {layout.rows} points")
     lines = body.splitlines()[: layout.rows] if layout.encoding == "ascii" else []
     held = len(lines) if layout.encoding == "ascii" else len(body) // layout.row.itemsize
     if held < layout.rows:

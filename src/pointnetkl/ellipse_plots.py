@@ -48,7 +48,7 @@ def gallery(surveys: Mapping[str, Sequence[Case]]) -> Figure:
     _key(page, methods, 0.2)
     for row, (survey, cases) in enumerate(surveys.items()):
         top, width = 0.45 + row * high, (plots.WIDTH_IN - 0.3) / max(1, len(cases))
-        _text(page, 0.15, top, f"{paper.title(survey)}, from flat to rugged", size=11)
+        _text(page, 0.15, top, f"{paper.title(survey)}, from the largest label to the smallest", size=11)
         for i, case in enumerate(cases):
             _standing(page, case, _Box(0.15 + i * width, top + 0.25, width - 0.15, high))
     return figure
@@ -140,7 +140,8 @@ def _scale(page: Axes, left: float, top: float, metre: float, longest: float, mo
 
 def _key(page: Axes, methods: Sequence[str], top: float) -> None:
     """Write at the right which colour is whose."""
-    names = [("of the label", families.GOLD.colour), *((f"of {name}", families.of(name).colour) for name in methods)]
+    names = [("95 % ellipse of the label", families.GOLD.colour)]
+    names += [(f"of {name}", families.of(name).colour) for name in methods]
     left = plots.WIDTH_IN - sum(0.55 + 0.065 * len(name) for name, _ in names)
     for name, colour in names:
         page.plot([left, left + 0.3], [top, top], color=colour, linewidth=2.5)

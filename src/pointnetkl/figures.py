@@ -107,11 +107,11 @@ def charts(
 
 
 def submaps(surveys: Sequence[cases.Survey]) -> Figure:
-    """Draw some submaps of each test survey from flat to rugged, with the ellipses of labels and of a few methods."""
+    """Draw some submaps of each test survey, the largest label first, with its ellipse and those of a few methods."""
     there = set().union(*(survey.test.covariances for survey in surveys))
     methods = _first_there(_COMPARED, there)
     return ellipse_plots.gallery(
-        {survey.name: cases.flat_to_rugged(survey, methods, _SUBMAPS_ACROSS) for survey in surveys}
+        {survey.name: cases.large_to_small(survey, methods, _SUBMAPS_ACROSS) for survey in surveys}
     )
 
 

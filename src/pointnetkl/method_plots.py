@@ -38,7 +38,11 @@ def divergence(kl: pd.DataFrame) -> Figure:
         known = panel.rows["paper"].notna().to_numpy()
         panel.axes.plot(panel.rows["paper"][known], panel.heights[known], "o", mfc="none", mec="black", ms=9)
         plots.plain_log(panel.axes, "x")
-    figure.supxlabel("mean KL(label || Q) and 95 % interval (nats); ring: the paper's, on its own data", fontsize=9)
+    figure.supxlabel(
+        "mean KL(label || Q) and 95 % interval (nats); ring: the paper's, on its own data\n"
+        "from top to bottom: by mean rank over all surveys",
+        fontsize=9,
+    )
     families.legend(figure, order)
     return figure
 
@@ -48,6 +52,8 @@ def calibration(nees: pd.DataFrame) -> Figure:
 
     `nees` has a row per survey and method: nees, coverage_95.
     """
+    if nees.empty:
+        return plots.without_held_out()
     order = _order(nees, np.abs(np.log(nees["nees"].astype(float))))
     figure, grid = _grid(nees, order, 2)
     for panel in _panels(nees, order, grid[0]):
@@ -128,7 +134,7 @@ def _nees(panel: _Panel) -> None:
     values = panel.rows["nees"].astype(float)
     _points(replace(panel, rows=panel.rows.assign(nees=values.clip(low, high))), "nees")
     for value, height in zip(values, panel.heights, strict=True):
-        said = text_table.cell(value, 2)
+        said = _short(value)
         if value > high:
             panel.axes.annotate(f"{said} →", (high / 1.15, height), fontsize=8, ha="right", va="center")
         elif value < low:
@@ -137,6 +143,11 @@ def _nees(panel: _Panel) -> None:
     panel.axes.set(xscale="log", xlim=(low / 1.1, high * 1.1))
     plots.plain_log(panel.axes, "x")
     panel.axes.set_xlabel("normalised NEES (1 is right)", fontsize=9)
+
+
+def _short(value: float) -> str:
+    said = text_table.cell(value, 2) if value < 1000 else f"{value:.0e}"
+    return said.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
 def _gold_line(panel: _Panel) -> None:

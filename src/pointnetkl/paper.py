@@ -83,11 +83,12 @@ _NAMES = {
     "naive_gicp": "Naïve GICP",
     "navigation": "Navigation",
     "pointnetkl": "PointNetKL",
+    "scituate": "Scituate",
 }
 
 
 def title(name: str) -> str:
-    """Return a survey's or method's name as the paper writes it; other names stay as they are."""
+    """Return a survey's or method's name as a reader calls it; other names stay as they are."""
     if name in _NAMES:
         return _NAMES[name]
     return name.replace("_", " ").capitalize() if name in DATASETS or name in SLAM else name

@@ -38,6 +38,13 @@ def _encoded(image: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
+def without_held_out() -> Figure:
+    """Return a figure that says why there is nothing to draw of held-out errors."""
+    figure = Figure((WIDTH_IN, 0.6))
+    figure.text(0.5, 0.5, "no held-out errors: label.held_out_runs is 0", ha="center", va="center", fontsize=10)
+    return figure
+
+
 def training(losses: Mapping[str, pd.DataFrame]) -> Figure:
     """Draw the KL divergence in training and validation by optimiser step, and mark the weights that were kept.
 

@@ -35,9 +35,11 @@ def reliability(table: pd.DataFrame) -> Figure:
 
     `table` has the columns of `coverage`. Below the diagonal a method is too sure of itself.
     """
+    if table.empty:
+        return plots.without_held_out()
     surveys = list(dict.fromkeys(table["survey"]))
-    across = min(3, max(1, len(surveys)))
-    down = max(1, -(-len(surveys) // across))
+    across = min(3, len(surveys))
+    down = -(-len(surveys) // across)
     figure = Figure((plots.WIDTH_IN, 0.7 + down * (8.0 / max(2, across) + 0.3)), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, survey in zip(grid, surveys, strict=False):

@@ -6,6 +6,7 @@ from pathlib import Path
 from pointnetkl import settings
 
 _MOST_RUNS = 1_000_000  # of a label: their errors are held at once
+_PREDICTING = ("pointnetkl", "network")  # the models that stages predict and time read
 
 
 @dataclass(frozen=True)
@@ -42,15 +43,17 @@ class Study:
     test: dict[str, StudySurvey]
     surveys: dict[str, StudySurvey]
     scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
-    models: list[str] = field(default_factory=list)  # those of section `models` that are trained
+    models: list[str] = field(default_factory=lambda: list(_PREDICTING))  # those of section `models` that are trained
     unscaled: str = "data/none"  # the weights of pointnetkl_unscaled, where it is one of them
 
     def __post_init__(self) -> None:
-        """Refuse a study that would test on what it trained on.
+        """Refuse a study that would test on what it trained on, or that lacks a model.
 
         Raises:
-            ValueError: a survey, or its raw files, are in both groups.
+            ValueError: a survey, or its raw files, are in both groups; a model is missing or stands twice.
         """
+        if not set(_PREDICTING) <= set(self.models) or len(set(self.models)) < len(self.models):
+            raise ValueError(f"models is {self.models}, must name {' and '.join(_PREDICTING)}, and each model once")
         if both := sorted(set(self.train) & set(self.test)):
             raise ValueError(f"test has {both[0]}, which train has too; name it in one of them")
         trained = {line.raw for line in self.train.values()}

@@ -48,8 +48,9 @@ def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
     # decimals are written as they are: the paper's numbers as it prints them
     known = {heading(n, datasets) if n in datasets else n: Decimal(str(value)) for n, value in paper.KL.items()}
     rows.append({"method": "pointnetkl, the paper", **known})
+    caption = "Table II. Mean KL divergence by method, nats; training: cello's by left-out blocks, others in sample."
     columns = ["method", "training", "validation", *(heading(name, datasets) for name in surveys)]
-    return [block("Table II. Mean KL divergence by method, nats.", rows, columns)]
+    return [block(caption, rows, columns)]
 
 
 def heading(survey: str, datasets: Numbers) -> str:

@@ -10,13 +10,15 @@ from pointnetkl.covariance.method import Method
 from pointnetkl.covariance.self_registration import SelfRegistration
 from pointnetkl.settings import require_seed
 
+_MOST_RUNS = 1_000_000  # as of a label: their errors are held at once
+
 
 @dataclass(frozen=True)
 class Settings:
     """Section `estimate` of the parameters.
 
     Raises:
-        ValueError: fewer than 3 registrations, whose covariance may be singular, or the same number twice.
+        ValueError: fewer than 3 registrations, whose covariance may be singular, too many, or the same number twice.
     """
 
     seed: int
@@ -27,6 +29,8 @@ class Settings:
         require_seed(self.seed)
         if min(self.sampled_runs, default=3) < 3 or len(set(self.sampled_runs)) < len(self.sampled_runs):
             raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at least 3 and stand once")
+        if max(self.sampled_runs, default=0) > _MOST_RUNS:
+            raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at most {_MOST_RUNS}")
 
 
 def methods(

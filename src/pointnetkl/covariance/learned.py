@@ -76,9 +76,11 @@ def read(path: Path, dimensions: int) -> Fits:
 
     Raises:
         ArtifactError: the file is missing or is not JSON.
-        FittingError: a method or one of its numbers is missing, or is not a finite number.
+        FittingError: the fits are of another registration.dof; or a method or one of its numbers is missing, or is
+            not a finite number.
     """
     content = artifacts.read_json(path)
+    _check_dof(path, content.get("params"), "xyyaw" if dimensions == 3 else "xy")
     fits = {name: _read_fit(path, name, content, dimensions) for name in LEARNERS}
     if not isinstance(submaps := content.get("submaps"), int):
         raise fitting.FittingError(f"{path}: lacks the number of submaps; run dvc repro fit")
@@ -88,6 +90,15 @@ def read(path: Path, dimensions: int) -> Fits:
 def _entry(fit: fitting.Fit) -> dict[str, Any]:
     rows = [" ".join(f"{number:.6g}" for number in row) for row in fit.rows]
     return {**fit.numbers, "mean_kl": fit.mean_kl} | ({"rows": rows} if rows else {})
+
+
+def _check_dof(path: Path, parameters: Any, wanted: str) -> None:
+    registration = parameters.get("registration") if isinstance(parameters, dict) else None
+    fitted = registration.get("dof", wanted) if isinstance(registration, dict) else wanted
+    if fitted != wanted:
+        raise fitting.FittingError(
+            f"{path}: its fits are of registration.dof {fitted}, and the parameters have {wanted}; run dvc repro fit"
+        )
 
 
 def _read_fit(path: Path, name: str, content: Mapping[str, Any], dimensions: int) -> fitting.Fit:
