@@ -29,7 +29,7 @@ class Fake:
 def test_the_warm_up_is_called_and_not_counted():
     fake = Fake()
     timing = runtime.measure(fake, SUBMAPS)
-    assert fake.calls == [0, 0, 1, 2]
+    assert fake.calls == [0, *9 * [0, 1, 2]]  # what takes milliseconds is measured nine times, in turns
     assert 0.002 <= timing.mean_s < 0.1
     assert timing.std_s < 0.1
 
