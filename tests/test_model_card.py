@@ -21,11 +21,12 @@ SUMMARY = {
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_card_names_data_labels_units_measures_and_limits(kind: str, dimensions: int):
     registration = REGISTRATION if dimensions == 2 else WITH_YAW
-    origin = model_card.Origin("smoke", {"mine": LINE}, {"mine": 50}, LABEL, registration)
+    origin = model_card.Origin({"mine": LINE}, {"mine": 50}, LABEL, registration)
     text = model_card.text("m", kind, model(kind, dimensions), 0.01, origin, SUMMARY)
     assert "| mine | `data/raw/mine` | 50 | 100 | 3.2 | 200 |" in text
     assert all(
-        said in text for said in ("scale `smoke`", "N(0, 9 m²)", "0.1 m on each", "| validation | 10 | 0.07 | 0.4 |")
+        said in text
+        for said in ("dvc repro train@m", "N(0, 9 m²)", "0.1 m on each", "| validation | 10 | 0.07 | 0.4 |")
     )
     assert all(
         said in text for said in (f"({dimensions}, {dimensions})", "0 % of the training", "2.5 % of the validation")
