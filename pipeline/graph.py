@@ -1,4 +1,4 @@
-"""Build a survey's pose graph: GT from navigation, then the loop closures of Algorithm 1."""
+"""Build a survey's pose graph: GT from navigation, then draws of the loop closures of Algorithm 1."""
 
 import argparse
 from pathlib import Path
@@ -28,9 +28,8 @@ def main(arguments: argparse.Namespace) -> None:
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
-    truth = graph_construction.truth_at(
-        poses["time_s"].to_numpy(), artifacts.read_table(arguments.truth, survey.TRAJECTORY)
-    )
+    pings = artifacts.read_table(arguments.pings, survey.PINGS)
+    truth = graph_construction.truth_at(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
     spacing = float(np.median(labels["spacing_m"]))
     made = graph_construction.build(
         name, submaps, graph_construction.poses(poses), truth, q, spacing, graph, registration
@@ -51,6 +50,7 @@ if __name__ == "__main__":
     parser.add_argument("--submaps", type=Path, required=True, help="points of its submaps")
     parser.add_argument("--poses", type=Path, required=True, help="their poses by navigation")
     parser.add_argument("--labels", type=Path, required=True, help="their Monte Carlo covariances")
+    parser.add_argument("--pings", type=Path, required=True, help="the vehicle's navigation, whose heading errs")
     parser.add_argument("--truth", type=Path, required=True, help="true trajectory; no rows where it is not known")
     parser.add_argument("--graph", type=Path, required=True, help="graph to write")
     command.run(main, parser)

@@ -1,6 +1,7 @@
 """Loop closures: which submaps close one, what their edges measure, and how well."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,9 @@ from pointnetkl.survey_graph import Closures
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
+SUBMAPS = pd.DataFrame({"time_s": [1.0], "yaw_rad": [np.pi]})
+HEADING = pd.DataFrame({"time_s": [0.0, 2.0], "yaw_rad": [3.1, -3.1]})
+TRAJECTORY = pd.DataFrame({"time_s": [0.0, 2.0], "x_m": [0.0, 4.0], "y_m": 1.0, "z_m": -5.0, "yaw_rad": [3.1, -3.1]})
 
 SQUARE = np.stack(np.meshgrid(np.arange(0.5, 10), np.arange(0.5, 10)), -1).reshape(-1, 2)
 
@@ -141,7 +145,7 @@ def test_a_graph_with_yaw_comes_back_from_its_file_and_refuses_covariances_witho
     arrays = survey_graph.to_arrays(made)
     again = survey_graph.to_arrays(survey_graph.from_arrays(arrays))
     assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
-    assert arrays["registration_error_truth_m"].shape == (len(made.closures.node), 3)
+    assert arrays["registration_error_truth_m"].shape == (sum(len(draw.node) for draw in made.draws), 3)
     assert survey_graph.summary(made)["gt_truth_rmse_xyz_m"] < survey_graph.summary(made)["navigation_truth_rmse_xyz_m"]
     with pytest.raises(survey_graph.SurveyGraphError, match="registrations find 3 numbers"):
         survey_graph.edge_covariances(made.number, {int(n): np.eye(2) for n in made.number}, made.closures, "toy")
@@ -187,19 +191,38 @@ def test_a_graph_without_truth_has_errors_that_are_not_numbers():
 
 
 def test_truth_is_interpolated_through_the_turn_of_the_compass():
-    trajectory = pd.DataFrame(
-        {"time_s": [0.0, 2.0], "x_m": [0.0, 4.0], "y_m": 1.0, "z_m": -5.0, "yaw_rad": [3.1, -3.1]}
-    )
-    T = graph_construction.truth_at(np.array([1.0]), trajectory)[0]
+    T = graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY)[0]
     assert T[:3, 3] == pytest.approx([2.0, 1.0, -5.0])
     assert abs(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(np.pi)
 
 
+def test_a_submap_is_turned_by_the_error_of_the_heading_and_not_onto_the_heading():
+    crabbing = SUBMAPS.assign(yaw_rad=3.0)  # its track; the vehicle points elsewhere
+    wrong = HEADING.assign(yaw_rad=HEADING["yaw_rad"] + 0.05)
+    T = graph_construction.truth_at(crabbing, wrong, TRAJECTORY)[0]
+    assert np.arctan2(T[1, 0], T[0, 0]) == pytest.approx(2.95)
+
+
 def test_a_truth_that_does_not_reach_a_submap_is_refused():
-    trajectory = pd.DataFrame({"time_s": [0.0, 2.0], "x_m": 0.0, "y_m": 0.0, "z_m": 0.0, "yaw_rad": 0.0})
+    late = SUBMAPS.assign(time_s=3.0)
     with pytest.raises(graph_construction.GraphConstructionError, match="submap is at 3"):
-        graph_construction.truth_at(np.array([1.0, 3.0]), trajectory)
-    assert np.isnan(graph_construction.truth_at(np.array([1.0]), trajectory[:0])).all()
+        graph_construction.truth_at(late, HEADING, TRAJECTORY)
+    assert np.isnan(graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY[:0])).all()
+
+
+def test_draws_start_elsewhere_and_the_first_does_not_depend_on_how_many_there_are():
+    submaps, truth = sail(2, 3)
+    q = {s.number: 0.01 * np.eye(2) for s in submaps}
+    one, three = (
+        graph_construction.build(
+            "toy", submaps, truth, truth, q, SPACING, dataclasses.replace(SETTINGS, draws=draws), REGISTRATION
+        )
+        for draws in (1, 3)
+    )
+    assert [len(made.draws) for made in (one, three)] == [1, 3]
+    assert three.closures.correction.tobytes() == one.closures.correction.tobytes()
+    starts = [draw.start for draw in three.draws]
+    assert all(np.abs(a - b).min() > 0 for a, b in itertools.combinations(starts, 2))
 
 
 def test_a_submap_without_covariance_that_closes_a_loop_is_named():

@@ -118,5 +118,5 @@ def test_better_covariances_of_the_closures_make_a_smaller_error():
 
 
 def test_noise_that_is_not_positive_is_refused():
-    with pytest.raises(pose_graph.PoseGraphError, match="yaw_rad is 0"):
+    with pytest.raises(ValueError, match="yaw_rad is 0"):
         pose_graph.ClosureNoise(0.01, 0.01, 0.0, 0.01)

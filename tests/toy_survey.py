@@ -10,7 +10,7 @@ from pointnetkl.survey_graph import SurveyGraph
 LENGTH, SWATH, POINTS, SPACING = 30.0, 40.0, 500, 0.8
 DEAD_RECKONING = DeadReckoningNoise(1e-4, 1e-4, 1e-2, 5.0, 5.0, 1.0)
 CLOSURE = ClosureNoise(0.01, 0.01, 0.0316, 0.01)
-SETTINGS = loop_closure.Settings(1, 0.6, 1.0, 5.0, 2.0, DEAD_RECKONING, CLOSURE)
+SETTINGS = loop_closure.Settings(1, 2, 0.6, 1.0, 5.0, 2.0, DEAD_RECKONING, CLOSURE)
 REGISTRATION = gicp.Settings(20, 1e-3, 20.0, 1e-3, 50)
 
 

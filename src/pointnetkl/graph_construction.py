@@ -1,11 +1,12 @@
-"""Making a survey's pose graph: GT, the paper's stand-in for the truth, and on it Algorithm 1."""
+"""Making a survey's pose graph: GT, the paper's stand-in for the truth, and on it Algorithm 1, some times over."""
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
-from pointnetkl import gicp, loop_closure, pose, pose_graph, survey_graph
+from pointnetkl import compute, gicp, loop_closure, pose, pose_graph, survey_graph
 from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.submap import Submap
@@ -22,12 +23,16 @@ def poses(table: pd.DataFrame) -> np.ndarray:
     return np.array([pose.matrix(row[:3], row[3]) for row in rows]).reshape(-1, 4, 4)
 
 
-def truth_at(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
-    """Return true poses (n, 4, 4) at times in seconds, by linear interpolation; NaN if the trajectory is empty.
+def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFrame) -> np.ndarray:
+    """Return the true poses (n, 4, 4) of submaps, by linear interpolation in time; NaN if the trajectory is empty.
+
+    A submap's yaw is that of its track, by navigation, and not the vehicle's heading: it is wrong by as much as the
+    heading in `pings` (columns time_s, yaw_rad) is. `submaps` has time_s and yaw_rad, the trajectory survey.TRAJECTORY.
 
     Raises:
         GraphConstructionError: a time lies outside the trajectory.
     """
+    times = submaps["time_s"].to_numpy()
     if trajectory.empty:
         return np.full((len(times), 4, 4), np.nan)
     known = trajectory["time_s"].to_numpy()
@@ -37,8 +42,12 @@ def truth_at(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
             " give a truth of the whole survey, or data/none"
         )
     columns = {name: np.interp(times, known, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
-    yaw = np.interp(times, known, np.unwrap(trajectory["yaw_rad"]))
-    return poses(pd.DataFrame({**columns, "yaw_rad": yaw}))
+    wrong = _heading(times, pings) - _heading(times, trajectory)
+    return poses(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
+
+
+def _heading(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
+    return np.interp(times, trajectory["time_s"], np.unwrap(trajectory["yaw_rad"]))
 
 
 def label_covariances(labels: pd.DataFrame, survey: str) -> dict[int, np.ndarray]:
@@ -64,7 +73,7 @@ def build(
     settings: loop_closure.Settings,
     registration: gicp.Settings,
 ) -> SurveyGraph:
-    """Return a survey's graph: GT from navigation (n, 4, 4), then Algorithm 1 on the GT poses.
+    """Return a survey's graph: GT from navigation (n, 4, 4), then on the GT poses each draw of Algorithm 1.
 
     `labels` are the Monte Carlo covariances (M, M) by submap; `spacing` is that of neighbouring points, in
     metres.
@@ -73,10 +82,23 @@ def build(
     found = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
     q = survey_graph.edge_covariances(number, labels, found, f"{survey}, labels")
     gt = optimise_navigation(navigation, found, q, settings)
-    perturbations = loop_closure.starts(survey, submaps, settings, registration.dimensions)
-    closures = loop_closure.close(submaps, gt, perturbations, spacing, settings, registration)
+    draw = functools.partial(_draw, survey, submaps, gt, spacing, settings, registration)
+    draws = compute.in_threads(draw, range(settings.draws), f"loop closures, {survey}", unit="draw")
     noise = (settings.dead_reckoning, settings.loop_closure)
-    return SurveyGraph(survey, number, navigation, gt, truth, closures, *noise)
+    return SurveyGraph(survey, number, navigation, gt, truth, tuple(draws), *noise)
+
+
+def _draw(
+    survey: str,
+    submaps: Sequence[Submap],
+    gt: np.ndarray,
+    spacing: float,
+    settings: loop_closure.Settings,
+    registration: gicp.Settings,
+    draw: int,
+) -> Closures:
+    starts = loop_closure.starts(survey, submaps, settings, registration.dimensions, draw)
+    return loop_closure.close(submaps, gt, starts, spacing, settings, registration)
 
 
 def optimise_navigation(

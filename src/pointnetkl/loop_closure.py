@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pointnetkl import compute, footprint, gicp, pose
+from pointnetkl import footprint, gicp, pose
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
+from pointnetkl.settings import require_positive, require_seed
 from pointnetkl.submap import Submap
 from pointnetkl.survey_graph import Closures
 
 
 class LoopClosureError(PointNetKLError):
-    """Submaps and poses do not belong together, or a setting makes no sense."""
+    """Submaps and poses do not belong together."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Settings:
     """Section `graph` of the parameters."""
 
     seed: int
+    draws: int
     coverage: float
     prior_variance_m2: float
     cell_factor: float
@@ -32,29 +34,30 @@ class Settings:
     prior_yaw_sigma_rad: float = 0.03
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            LoopClosureError: a setting is out of its range.
-        """
-        if not (0 < self.coverage <= 1 and min(self.prior_variance_m2, self.prior_yaw_sigma_rad) >= 0):
-            raise LoopClosureError(
-                f"graph.coverage is {self.coverage}, prior_variance_m2 {self.prior_variance_m2} and"
-                f" prior_yaw_sigma_rad {self.prior_yaw_sigma_rad}; they must be in (0, 1] and not negative"
-            )
-        if self.cell_factor <= 0 or (self.overlap_factor is not None and self.overlap_factor <= 0):
-            raise LoopClosureError(
-                f"graph.cell_factor is {self.cell_factor} and overlap_factor {self.overlap_factor};"
-                " they must be positive"
-            )
+        """Refuse what makes no sense."""
+        require_seed(self.seed)
+        require_positive(self, "draws", "coverage", "cell_factor")
+        if self.coverage > 1:
+            raise ValueError(f"coverage is {self.coverage}, a share: must be at most 1")
+        for name in ("prior_variance_m2", "prior_yaw_sigma_rad"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be 0 or above")
+        if self.overlap_factor is not None:
+            require_positive(self, "overlap_factor")
 
 
-def starts(survey: str, submaps: Sequence[Submap], settings: Settings, dimensions: int = 2) -> np.ndarray:
-    """Return each submap's perturbation (n, M) before it is registered: a draw from N(0, a I) in metres, and of yaw."""
+def starts(
+    survey: str, submaps: Sequence[Submap], settings: Settings, dimensions: int = 2, draw: int = 0
+) -> np.ndarray:
+    """Return each submap's perturbation (n, M) before it is registered: from N(0, a I) in metres, and of yaw.
+
+    Every `draw` has its own.
+    """
     sigma = np.sqrt(settings.prior_variance_m2)
     sigmas = np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
     key = zlib.crc32(survey.encode())
-    return np.array([np.random.default_rng([settings.seed, key, s.number]).normal(0.0, sigmas) for s in submaps])
+    seeds = ([settings.seed, key, draw, s.number] for s in submaps)
+    return np.array([np.random.default_rng(seed).normal(0.0, sigmas) for seed in seeds])
 
 
 def close(
@@ -84,7 +87,7 @@ def close(
             f"there are {len(submaps)} submaps and {len(poses)} poses, must be one each; run segment again"
         )
     front = _FrontEnd(spacing, settings, registration)
-    for i in compute.progress(range(len(submaps)), "loop closures", len(submaps)):
+    for i in range(len(submaps)):
         drift = front.correction if perturbations is None else np.zeros(3)
         perturbation = np.zeros(3)
         if perturbations is not None:

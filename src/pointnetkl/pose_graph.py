@@ -11,25 +11,20 @@ import gtsam
 import numpy as np
 
 from pointnetkl.errors import PointNetKLError
+from pointnetkl.settings import require_positive
 
 _XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
 _FIRST_POSE_SIGMA = 1e-6  # metres and radians: the first node is held, and this says how
 
 
 class PoseGraphError(PointNetKLError):
-    """A pose graph cannot be optimised, or the noise of its edges makes no sense."""
+    """A pose graph cannot be optimised."""
 
 
 class _Noise:
     def __post_init__(self) -> None:
-        """Refuse standard deviations that are not positive.
-
-        Raises:
-            PoseGraphError: there is one.
-        """
-        for name, sigma in vars(self).items():
-            if not sigma > 0:
-                raise PoseGraphError(f"the noise {name} is {sigma}, must be positive")
+        """Refuse standard deviations that are not positive."""
+        require_positive(self, *vars(self))
 
 
 @dataclass(frozen=True)

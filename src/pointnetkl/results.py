@@ -145,8 +145,8 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
         slam=artifacts.read_table(folders.reports / f"slam/{name}.parquet", SLAM),
         trajectories=artifacts.read_table(folders.reports / f"slam/{name}_trajectories.parquet", TRAJECTORIES),
         gt=graph["gt"],
-        loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1).reshape(-1, 2),
-        registrations=len(graph["registration_node"]),
+        loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1)[graph["edge_draw"] == 0],
+        registrations=int(np.sum(graph["registration_draw"] == 0)),
     )
 
 

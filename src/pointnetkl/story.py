@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pointnetkl import label_story, terrain_story
+from pointnetkl import label_story, slam_story, terrain_story
 from pointnetkl.page import Section
 from pointnetkl.results import Labels, Test
 from pointnetkl.study import Study
@@ -48,7 +48,7 @@ def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, La
         terrain_story.classes(shown),
         terrain_story.limits(copies, datasets),
         _time(shown),
-        _slam(shown),
+        *slam_story.sections(shown),
     ]
 
 
@@ -196,31 +196,6 @@ def _time(shown: Blocks) -> Section:
         (
             "The paper's machine is another one: compare ratios, not seconds. Divergence is judged on this"
             " scale's test submaps, time on submaps of the paper's size.",
-        ),
-    )
-
-
-def _slam(shown: Blocks) -> Section:
-    return Section(
-        "SLAM",
-        (
-            "Yaw noise corrupts the dead reckoning of each survey's graph; the graph is optimised with each method's Q"
-            " on its loop closures. RMSE_xyz is over submap positions, not aligned. Map-to-map is the distance between"
-            " overlapping submaps (root mean square over cells of their worst pair); a perfect map is not at 0, because"
-            " soundings are apart. N_DR and N_LC count edges of dead reckoning and loop closures.",
-        ),
-        shown["table_4"],
-        {
-            "slam": "Error by method. Bars are 95 % intervals of the mean over repetitions.",
-            "bathymetry": "Depth of the test surveys, submaps at their GT poses (the paper's Fig. 5).",
-            "trajectories": "Repetition 0: GT, corrupted, solved with the covariances named. One scale per survey.",
-        },
-        (
-            "GT is navigation optimised with the Monte Carlo covariances, as in the paper: it favours monte_carlo."
-            " Where the truth is known (simulated surveys), rest conclusions on truth_rmse_xyz_m; the row gt"
-            " tells how far GT itself is from it.",
-            "All repetitions corrupt one and the same graph, whose loop closures were registered once:"
-            " intervals are over the yaw noise alone and say nothing of another draw of the loop closures.",
         ),
     )
 

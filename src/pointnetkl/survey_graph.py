@@ -2,7 +2,8 @@
 
 Its poses are those of navigation, of "GT" (navigation optimised with the Monte Carlo covariances, the paper's
 stand-in for the truth) and of the truth where it is known. Its edges are dead reckoning between neighbours, as
-GT has it, and the loop closures of Algorithm 1, registered from perturbed GT poses.
+GT has it, and the loop closures of Algorithm 1, registered from perturbed GT poses: some draws of those, each with
+perturbations of its own, because the loop closures of one draw share their luck.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,8 @@ import numpy as np
 from pointnetkl import metrics, pose, pose_graph
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
+
+_KINDS = ("edge", "registration", "rejected")  # of rows that each draw has some of
 
 
 class SurveyGraphError(PointNetKLError):
@@ -48,9 +51,14 @@ class SurveyGraph:
     navigation: np.ndarray  # (n, 4, 4) T_map_submap
     gt: np.ndarray  # (n, 4, 4)
     truth: np.ndarray  # (n, 4, 4), NaN where it is not known
-    closures: Closures
+    draws: tuple[Closures, ...]
     dead_reckoning_noise: DeadReckoningNoise
     closure_noise: ClosureNoise
+
+    @property
+    def closures(self) -> Closures:
+        """Return the loop closures of the first draw: the paper's graph."""
+        return self.draws[0]
 
 
 def edge_covariances(
@@ -96,7 +104,7 @@ def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
 
 
 def summary(graph: SurveyGraph) -> dict[str, Any]:
-    """Return counts, and how far navigation, GT and the registrations are from each other and from the truth."""
+    """Return the paper's graph in counts, and how far navigation, GT and the truth are from each other."""
     closures = graph.closures
 
     def error(a: np.ndarray, b: np.ndarray) -> float | None:
@@ -109,6 +117,7 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
         "registrations": len(closures.node),
         "registrations_converged": int(closures.converged.sum()),
         "registrations_rejected": len(closures.rejected),
+        "loop_closures_by_draw": [len(each.edges.source) for each in graph.draws],
         "navigation_rmse_xyz_m": error(graph.navigation, graph.gt),
         "navigation_truth_rmse_xyz_m": error(graph.navigation, graph.truth),
         "gt_truth_rmse_xyz_m": error(graph.gt, graph.truth),
@@ -116,32 +125,29 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
 
 
 def to_arrays(graph: SurveyGraph) -> dict[str, np.ndarray]:
-    """Return the graph as named arrays, with the errors of its loop closures against GT and against the truth."""
-    closures, gt, truth = graph.closures, graph.gt, graph.truth
-    with_yaw = {} if closures.centroid is None else {"node_centroid_m": closures.centroid}
+    """Return the graph as named arrays, with the errors of its loop closures against GT and against the truth.
+
+    Rows of `edge_*`, `registration_*` and `rejected_*` are those of every draw, one after the other; `*_draw` says
+    whose a row is.
+    """
+    draws = [_draw_arrays(each, graph.gt, graph.truth) for each in graph.draws]
+    rows = {name: np.concatenate([each[name] for each in draws]) for name in draws[0]}
+    for kind in _KINDS:
+        counts = [len(each[f"{kind}_node" if kind != "edge" else "edge_source"]) for each in draws]
+        rows[f"{kind}_draw"] = np.repeat(np.arange(len(draws)), counts)
+    centroid = graph.closures.centroid
     return {
-        **with_yaw,
         "survey": np.array(graph.survey),
         "number": graph.number,
         "navigation": graph.navigation,
-        "gt": gt,
-        "truth": truth,
-        "dead_reckoning": pose_graph.between(gt),
+        "gt": graph.gt,
+        "truth": graph.truth,
+        "dead_reckoning": pose_graph.between(graph.gt),
         "dead_reckoning_sigmas": pose_graph.sigmas(graph.dead_reckoning_noise),
         "closure_sigmas": pose_graph.sigmas(graph.closure_noise),
-        "edge_target": closures.edges.target,
-        "edge_source": closures.edges.source,
-        "edge_measured": closures.edges.measured,
-        "edge_registration": closures.registration,
-        "edge_error_gt_m": errors(closures, gt),
-        "edge_error_truth_m": errors(closures, truth),
-        "registration_node": closures.node,
-        "registration_start_m": closures.start,
-        "registration_correction_m": closures.correction,
-        "registration_error_gt_m": registration_errors(closures, gt),
-        "registration_error_truth_m": registration_errors(closures, truth),
-        "registration_converged": closures.converged,
-        "rejected_node": closures.rejected,
+        "draws": np.array(len(graph.draws)),
+        **({} if centroid is None else {"node_centroid_m": centroid}),
+        **rows,
     }
 
 
@@ -158,7 +164,7 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> SurveyGraph:
             navigation=arrays["navigation"],
             gt=arrays["gt"],
             truth=arrays["truth"],
-            closures=_closures(arrays),
+            draws=tuple(_closures(arrays, draw) for draw in range(int(arrays["draws"]))),
             dead_reckoning_noise=DeadReckoningNoise(*arrays["dead_reckoning_sigmas"].tolist()),
             closure_noise=ClosureNoise(*arrays["closure_sigmas"].tolist()),
         )
@@ -166,14 +172,33 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> SurveyGraph:
         raise SurveyGraphError(f"the graph lacks {error}; delete it and run dvc repro") from error
 
 
-def _closures(arrays: Mapping[str, np.ndarray]) -> Closures:
+def _draw_arrays(closures: Closures, gt: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:
+    return {
+        "edge_target": closures.edges.target,
+        "edge_source": closures.edges.source,
+        "edge_measured": closures.edges.measured,
+        "edge_registration": closures.registration,
+        "edge_error_gt_m": errors(closures, gt),
+        "edge_error_truth_m": errors(closures, truth),
+        "registration_node": closures.node,
+        "registration_start_m": closures.start,
+        "registration_correction_m": closures.correction,
+        "registration_error_gt_m": registration_errors(closures, gt),
+        "registration_error_truth_m": registration_errors(closures, truth),
+        "registration_converged": closures.converged,
+        "rejected_node": closures.rejected,
+    }
+
+
+def _closures(arrays: Mapping[str, np.ndarray], draw: int) -> Closures:
+    edge, registration, rejected = (arrays[f"{kind}_draw"] == draw for kind in _KINDS)
     return Closures(
-        edges=Edges(arrays["edge_target"], arrays["edge_source"], arrays["edge_measured"]),
-        registration=arrays["edge_registration"],
-        node=arrays["registration_node"],
-        start=arrays["registration_start_m"],
-        correction=arrays["registration_correction_m"],
-        converged=arrays["registration_converged"],
-        rejected=arrays["rejected_node"],
+        edges=Edges(*(arrays[f"edge_{name}"][edge] for name in ("target", "source", "measured"))),
+        registration=arrays["edge_registration"][edge],
+        node=arrays["registration_node"][registration],
+        start=arrays["registration_start_m"][registration],
+        correction=arrays["registration_correction_m"][registration],
+        converged=arrays["registration_converged"][registration],
+        rejected=arrays["rejected_node"][rejected],
         centroid=arrays.get("node_centroid_m"),
     )
