@@ -1,30 +1,52 @@
-"""Optimise a survey's corrupted graph with every method's covariances, many times."""
+"""Optimise a survey's corrupted graphs with every method's covariances, many times."""
 
 import argparse
+import sys
 from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import artifacts, command, map_to_map, settings, slam, submap, survey_graph
+from pointnetkl import (
+    artifacts,
+    command,
+    consistency_map,
+    map_frame,
+    map_thinning,
+    settings,
+    slam,
+    slam_benchmark,
+    submap,
+    survey_graph,
+)
 from pointnetkl.covariance import table
+from pointnetkl.map_to_map import MapToMap
+from pointnetkl.map_to_map_auvlib import MapToMapAuvlib
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read the graph and the covariances; write errors by method and repetition, and trajectories."""
+    """Read the graph and the covariances; write every run's errors, trajectories, and maps of the first."""
     name = arguments.survey
     chosen = settings.read(arguments.params, "slam", slam.Settings)
     arrays, made_with = artifacts.read_arrays(arguments.graph)
     graph = survey_graph.from_arrays(arrays)
-    paths = (arguments.estimated, arguments.predicted)
+    paths = (arguments.estimated, arguments.predicted, arguments.measured)
     tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
-    methods = slam.by_method(pd.concat(tables, ignore_index=True))
+    methods = slam.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = slam.clouds_of(graph, {s.number: s.points for s in submaps})
-    map_error = map_to_map.MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
-    rows, trajectories = slam.benchmark(graph, methods, map_error, chosen)
+    measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
+    map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
+    rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)
+    for sentence in slam_benchmark.unsolved(rows):
+        print(sentence, file=sys.stderr)
     metadata = {"survey": name, "slam": settings.as_metadata(chosen), "graph": made_with}
     artifacts.write_table(arguments.rows, rows, slam.ROWS, metadata)
     artifacts.write_table(arguments.trajectories, trajectories, slam.TRAJECTORIES, metadata)
+    frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)
+    cells = consistency_map.of_trajectories(trajectories, measure.cells)
+    consistency_map.write(arguments.consistency, cells, frame, metadata)
+    thinned = map_thinning.table(name, clouds, graph.gt, chosen.map_cell_m)
+    artifacts.write_table(arguments.map_thinning, thinned, map_thinning.SCHEMA, metadata)
 
 
 if __name__ == "__main__":
@@ -34,6 +56,10 @@ if __name__ == "__main__":
     parser.add_argument("--submaps", type=Path, required=True, help="points of its submaps")
     parser.add_argument("--estimated", type=Path, required=True, help="covariances that need only the submap")
     parser.add_argument("--predicted", type=Path, required=True, help="covariances by learned methods")
+    parser.add_argument("--measured", type=Path, required=True, help="covariances of its loop closures")
+    parser.add_argument("--pings", type=Path, required=True, help="its pings, which say where its map frame lies")
     parser.add_argument("--rows", type=Path, required=True, help="table of errors to write")
     parser.add_argument("--trajectories", type=Path, required=True, help="table of trajectories to write")
+    parser.add_argument("--consistency", type=Path, required=True, help="GeoTIFF to write, a band a trajectory")
+    parser.add_argument("--map-thinning", type=Path, required=True, help="table of map-to-map errors to write")
     command.run(main, parser)

@@ -1,5 +1,6 @@
 """A small study's artifacts as the stages leave them, made up: a seabed of waves, labels that follow its slopes."""
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,15 +8,31 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from pointnetkl import artifacts, monte_carlo, pose, sensitivity, slam, submap, survey, voxel
+from pointnetkl import (
+    artifacts,
+    closure_errors,
+    consistency_map,
+    loop_gate,
+    map_thinning,
+    monte_carlo,
+    pose,
+    sensitivity,
+    slam,
+    stress,
+    submap,
+    survey,
+    voxel,
+)
 from pointnetkl.covariance import table
+from pointnetkl.map_cells import Cells
 
 LENGTH_M, SPACING_M, LINES, ALONG = 60.0, 4.0, 3, 6
 TRAIN, TEST = ("baltic", "borno_1"), ("borno_8", "mine")
 MODELS = ("pointnetkl", "network")
 METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", *MODELS)
 CRS = "EPSG:32632"
-REPETITIONS, HELD_OUT = 4, 40
+REPETITIONS, DRAWS, HELD_OUT = 4, 3, 40
+TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of slam.ROWS, that figures need
 _WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
 
@@ -194,9 +211,29 @@ def _write_test(root: Path, fake: Fake) -> None:
     gt = np.array([pose.matrix(np.array(row[2:5], float), row[5]) for row in fake.poses.itertuples(index=False)])
     pairs = [(k, k + 2 * ALONG - 1 - 2 * (k % ALONG)) for k in range(ALONG * (LINES - 1))] if not own else []
     edges = np.array(pairs, np.int64).reshape(-1, 2)
-    graph = {"gt": gt, "edge_target": edges[:, 0], "edge_source": edges[:, 1], "registration_node": edges[:, 1]}
+    none, e = np.zeros(len(edges), np.int64), _rng(fake.name).normal(size=(len(edges), 2))
+    graph = {"number": np.array(numbers), "gt": gt, "edge_target": edges[:, 0], "edge_source": edges[:, 1]}
+    graph |= {"registration_node": edges[:, 1], "registration_error_truth_m": e}
+    graph |= {"edge_draw": none, "registration_draw": none}
     artifacts.write_arrays(root / f"data/graphs/{fake.name}.npz", graph, {})
+    _write_closures(root / "data/closures", fake, edges[:, 1])
     _write_slam(root / "reports/slam", fake, gt, truth=not own)
+    _write_robustness(root / "reports/robustness", fake, len(edges))
+
+
+def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
+    """Write loop closures whose errors have twice the labels' sigma as built, and the labels' where all truly lie."""
+    rng, submaps = _rng(fake.name), np.tile(sources, DRAWS)
+    placed = np.einsum("kij,kj->ki", np.linalg.cholesky(fake.q[submaps]), rng.normal(size=(len(submaps), 2)))
+    rows = pd.DataFrame(rng.random((len(submaps), len(closure_errors.CLOSURES))), columns=closure_errors.CLOSURES.names)
+    errors = {"error": 2 * placed, "gt_error": 1.5 * placed, "placed_error": placed}
+    columns = {f"{kind}_{axis}_m": e[:, i] for kind, e in errors.items() for i, axis in enumerate("xy")}
+    which = {"draw": np.repeat(range(DRAWS), len(sources)), "submap": submaps, "targets": 1, "converged": True}
+    table_ = rows.assign(survey=fake.name, **which, **columns)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, closure_errors.CLOSURES, {})
+    covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
+    covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
+    artifacts.write_table(folder / f"{fake.name}_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
 
 
 def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
@@ -205,16 +242,60 @@ def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
     if truth:
         trajectories.append(_trajectory(fake, "truth", gt[:, :3, 3] + rng.normal(0, 1, (len(gt), 3))))
     for i, method in enumerate(("navigation", "corrupted", *METHODS)):
-        for repetition in range(1 if method == "navigation" else REPETITIONS):
+        for variant, draw, repetition in _runs(method):
             error = (3.0, 60.0)[i] if i < 2 else rng.uniform(5, 30)
-            measures = {"rmse_xyz_m": error, "truth_rmse_xyz_m": 1.1 * error if truth else np.nan}
-            measures["map_to_map_m"] = error / 5 if repetition < 2 and truth else np.nan
-            rows.append({"survey": fake.name, "method": method, "repetition": repetition, **measures})
+            true = dict(zip(TRUE, (1.1, 0.5, 0.2), strict=True)) if truth else {}
+            measures = {"rmse_xyz_m": error, **{name: share * error for name, share in true.items()}}
+            measures["map_to_map_m"] = error / 5 if draw == 0 and repetition < 2 and truth else np.nan
+            measures["pose_nees"] = 0.8 if (variant, draw, repetition) == ("table", 0, 0) else np.nan
+            run = {"variant": variant, "method": method, "draw": draw, "repetition": repetition}
+            rows.append({"survey": fake.name, **run, **measures})
         drift = np.column_stack([np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))])
         trajectories.append(_trajectory(fake, method, gt[:, :3, 3] + drift))
-    table_ = pd.DataFrame(rows).assign(**{name: np.nan for name in slam.ROWS.names if name.endswith("se2_m")})
+    table_ = pd.DataFrame(rows).reindex(columns=slam.ROWS.names)
     artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam.ROWS, {})
     artifacts.write_table(folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam.TRAJECTORIES, {})
+    _write_maps(folder, fake, [rows["which"].iloc[0] for rows in trajectories], rng)
+
+
+def _write_robustness(folder: Path, fake: Fake, closures: int) -> None:
+    """Write errors that grow with the share of false closures, by the kernel; without closures or truth, of share 0."""
+    rng, rows, shares = _rng(fake.name), [], (0.0, 0.1, 0.5) if closures else (0.0,)
+    for kernel, growth in (("plain", 9.0), ("cauchy", 0.1), ("gnc", 0.0)):
+        for start in ("corrupted",) if kernel != "gnc" else ("corrupted", "cauchy"):
+            for method, share, repetition in itertools.product(METHODS[:3], shares, (0, 1)):
+                failed = kernel == "plain" and repetition == 1
+                error = np.nan if failed else 5 * np.exp(growth * share) + rng.uniform(0, 1)
+                which = {"survey": fake.name, "kernel": kernel, "start": start, "method": method, "share": share}
+                false = round(closures * share / (1 - share))
+                counts = {"true_closures": closures, "false_closures": false, "draw": 0, "repetition": repetition}
+                errors = {"rmse_xyz_m": error, "truth_rmse_xyz_m": error if closures else np.nan, "failed": failed}
+                accepted = {"accepted_true": 0.9 * closures, "accepted_false": float(false if kernel == "plain" else 0)}
+                rows.append({**which, **counts, **errors, **({} if failed else accepted)})
+    table_ = pd.DataFrame(rows).reindex(columns=stress.ROWS.names)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, stress.ROWS, {})
+    gate = {"joined": closures, "covering": 14.0 if closures else np.nan, "both": 12.0 if closures else np.nan}
+    gates = pd.DataFrame({"survey": fake.name, "at": "graph", "draw": range(DRAWS), **gate})
+    artifacts.write_table(folder / f"{fake.name}_gate.parquet", gates, loop_gate.GATE, {})
+
+
+def _write_maps(folder: Path, fake: Fake, which: list[str], rng: np.random.Generator) -> None:
+    column, row = (each.ravel() for each in np.meshgrid(np.arange(8), np.arange(-2, 3)))
+    cells = {name: Cells(column, row, rng.gamma(4, 1, len(row))) for name in which}
+    frame = consistency_map.Frame((650_000.0, 6_450_000.0), CRS, 15.0)
+    consistency_map.write(folder / f"{fake.name}_consistency.tif", cells, frame, {})
+    errors = {"cells": 40, "map_to_map_m": 4.0, "both_thinned_m": np.linspace(4, 8, 4)}
+    thinned = pd.DataFrame({"survey": fake.name, "thinning": map_thinning.THINNINGS, **errors})
+    artifacts.write_table(folder / f"{fake.name}_map_thinning.parquet", thinned, map_thinning.SCHEMA, {})
+
+
+def _runs(method: str) -> list[tuple[str, int, int]]:
+    """Return variant, draw and repetition of every run of a method: of the first draw the most."""
+    if method == "navigation":
+        return [("table", 0, 0)]
+    table_ = [("table", draw, i) for draw in range(DRAWS) for i in range(REPETITIONS if draw == 0 else 2)]
+    shared = [("shared", draw, i) for draw in range(DRAWS) for i in range(2)]
+    return [*table_, *shared, *(("authors", draw, i) for _, draw, i in table_)] if method in slam.FEW else table_
 
 
 def _trajectory(fake: Fake, which: str, xyz: np.ndarray) -> pd.DataFrame:

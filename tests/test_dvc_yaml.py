@@ -132,7 +132,7 @@ def test_changing_slam_reruns_slam_and_report_only():
 
 
 def test_changing_a_model_neither_relabels_nor_reestimates():
-    assert rerun_by("models") == {"train", "predict", "slam", "time", "report"}
+    assert rerun_by("models") == {"train", "predict", "slam", "stress", "time", "report"}
 
 
 def test_changing_label_does_not_rerun_simulate_to_voxelise():
@@ -144,7 +144,20 @@ def test_changing_the_report_reruns_the_report_only():
 
 
 def test_a_new_test_survey_reaches_only_its_own_stages_and_the_report():
-    per_survey = {"simulate", "ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph", "slam"}
+    per_survey = {
+        "simulate",
+        "ingest",
+        "segment",
+        "voxelise",
+        "label",
+        "vary",
+        "estimate",
+        "predict",
+        "graph",
+        "slam",
+        "calibrate",
+        "stress",
+    }
     gathering = {
         name
         for name in STAGES

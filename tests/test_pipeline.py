@@ -17,7 +17,10 @@ DROPPED = ("shetland", "borno_1", "thwaites_11")
 CHANGES = (Path(__file__).parents[1] / "scales/smoke").read_text().replace("-S ", "").split()
 SCALE = [f"-S{change}" for change in CHANGES if not any(f"surveys.{name}." in change for name in DROPPED)]
 
-CHEAP = ("models.pointnetkl.train.steps=2", "vary.submaps=1", "vary.runs=45", "slam.repetitions=1", "time.submaps=1")
+CHEAP = (
+    *("models.pointnetkl.train.steps=2", "vary.submaps=1", "vary.runs=45", "time.submaps=1"),
+    *("slam.repetitions=1", "slam.draw_repetitions=1"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +96,10 @@ def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(s
     line = "mine: {raw: data/raw/mine, truth: data/none, submap_length_m: 100, point_spacing_m: 3.2, label_runs: 20}"
     study.edit("params.yaml", "  test: &test\n", f"  test: &test\n    {line}\n")
     ran = study.run("dvc", "repro").stdout
-    own = ("ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph", "slam")
+    own = (
+        *("ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph"),
+        *("slam", "calibrate", "stress"),
+    )
     assert sorted(study.ran(ran)) == sorted([*(f"{stage}@mine" for stage in own), "report"])
     metrics = json.loads((study.folder / "reports/metrics.json").read_text())
     assert metrics["datasets"]["mine"]["simulated"] is False

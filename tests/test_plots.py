@@ -51,14 +51,6 @@ VARIED = pd.DataFrame(
 )
 
 
-def graph() -> maps.Graph:
-    """A square track with one loop closure."""
-    square = 100.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
-    nodes = np.arange(4)
-    positions = {"gt": square, "corrupted": 1.2 * square}
-    return maps.Graph(positions, np.stack([nodes, nodes + 1], -1), np.array([[0, 4]]))
-
-
 POINTS = np.random.default_rng(0).uniform(-1, 1, (500, 3))
 EIGENVALUES = {"borno_8": np.sort(9.0 * np.abs(POINTS[:30, :2]))}
 EVERY: dict[str, Callable[[], Figure]] = {
@@ -73,8 +65,6 @@ EVERY: dict[str, Callable[[], Figure]] = {
     "noise": lambda: label_plots.noise(VARIED),
     "swath": lambda: maps.swath(100 * POINTS - [0, 0, 200], "baltic"),
     "canonical": lambda: maps.canonical({"baltic": POINTS, "borno_1": POINTS}),
-    "bathymetry": lambda: maps.bathymetry({"borno_8": (100 * POINTS, 5.0)}),
-    "trajectories": lambda: maps.trajectories({"borno_8": graph(), "mine": graph()}),
 }
 
 
@@ -88,7 +78,7 @@ def test_a_figure_is_small_the_same_bytes_twice_and_has_no_date(name: str):
     assert image.width == round(plots.WIDTH_IN * plots.DPI)
 
 
-@pytest.mark.parametrize("name", ["training", "swath", "bathymetry", "trajectories", "labels", "accuracy_time"])
+@pytest.mark.parametrize("name", ["training", "swath", "labels", "accuracy_time"])
 def test_every_axis_names_its_unit(name: str):
     axes = EVERY[name]().axes[-1 if name == "accuracy_time" else 0]
     assert "(" in axes.get_xlabel() or axes.get_xlabel() == "optimiser step"
@@ -139,18 +129,12 @@ def test_a_validation_before_the_first_step_is_drawn():
 
 def test_a_depth_map_holds_the_mean_depth_of_each_cell():
     points = np.array([[0.0, 0.0, -10.0], [0.5, 0.5, -20.0], [10.0, 0.0, -30.0]])
-    depth, (left, right, _, _) = maps.raster(points, 1.0)
+    depth, (left, right, _, _) = maps.raster(points, 1.0, np.array([[0.0, 0.0], [10.0, 0.5]]))
     assert depth[0, 0] == 15.0
     assert np.isnan(depth[0, 1])
     assert depth[0, -1] == 30.0
     assert left <= 0.0
     assert right >= 10.0
-
-
-def test_trajectories_of_one_survey_share_a_scale():
-    gt, corrupted = maps.trajectories({"borno_8": graph()}).axes[:2]
-    assert gt.get_xlim() == corrupted.get_xlim()
-    assert gt.get_ylim() == corrupted.get_ylim()
 
 
 def test_a_straight_stretch_is_found_beyond_a_turn():

@@ -1,5 +1,7 @@
 """Pose graphs: in whose frame Q is, and what is recovered from what."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -115,6 +117,82 @@ def test_better_covariances_of_the_closures_make_a_smaller_error():
             found = graph.optimise(noisy, DEAD_RECKONING, pose_graph.chain(truth[0], noisy))
             errors.append(np.linalg.norm((found - truth)[:, :3, 3], axis=1).mean())
     assert np.mean(right) < 0.9 * np.mean(blind)
+
+
+def lawnmower(rng: np.random.Generator) -> tuple[Edges, np.ndarray, pose_graph.Odometry]:
+    """Return a lawnmower's loop closures, true poses and dead reckoning, which is off by 0.03 rad an edge."""
+    truth = np.array([pose.matrix(np.array([80.0 * (k % 9), 40.0 * (k // 9), 0.0]), 0.3 * k) for k in range(36)])
+    pairs = np.array([(k, k + 9) for k in range(27)])
+    miss = np.tile(np.eye(4), (27, 1, 1))
+    miss[:, :2, 3] = rng.normal(size=(27, 2))
+    edges = Edges(*pairs.T, np.linalg.inv(truth[pairs[:, 0]]) @ truth[pairs[:, 1]] @ miss)
+    turns = np.array([pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0, 0.03, 35)])
+    noisy = pose_graph.between(truth) @ turns
+    return edges, truth, pose_graph.Odometry(noisy, DEAD_RECKONING, pose_graph.chain(truth[0], noisy))
+
+
+def misses(rng: np.random.Generator, sigmas: Sequence[float], count: int) -> np.ndarray:
+    """Return poses (count, 4, 4) that are off by noise in yaw, x and y."""
+    rows = rng.normal(0, sigmas, (count, 3))
+    return np.array([pose.matrix(np.array([x, y, 0.0]), yaw) for yaw, x, y in rows])
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1e-3, 1e-5, 1e-7])
+def test_closures_are_solved_however_sure_one_direction_is(sigma: float):
+    # along one axis of each loop closure a metre, along the other sigma: Cholesky and Levenberg-Marquardt give up
+    rng = np.random.default_rng(3)
+    edges, truth, odometry = lawnmower(rng)
+    a = rng.uniform(0, np.pi, 27)
+    R = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).transpose(2, 0, 1)
+    q = R @ np.diag([1.0, sigma**2]) @ R.transpose(0, 2, 1)
+    graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(q, CLOSURE))
+    found = graph.solve(odometry)
+    left = np.linalg.inv(edges.measured) @ np.linalg.inv(found[edges.target]) @ found[edges.source]
+    sure = np.einsum("eij,ei->ej", R, left[:, :2, 3])[:, 1]
+    assert np.abs(sure).max() < max(4 * sigma, 0.02)  # what turns of the edges leave
+    assert np.isfinite(graph.position_covariances(odometry, found)).all()
+
+
+def test_an_answer_is_at_rest_wherever_the_search_began():
+    rng = np.random.default_rng(4)
+    edges, truth, odometry = lawnmower(rng)
+    graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(np.tile(np.eye(2), (27, 1, 1)), CLOSURE))
+    other = pose_graph.Odometry(np.empty((0, 4, 4)), DEAD_RECKONING, truth)
+    other.factors = odometry.factors
+    assert graph.solve(other) == pytest.approx(graph.solve(odometry), abs=1e-3)
+
+
+def test_a_graph_that_has_no_minimum_is_an_error_and_not_its_start():
+    edges, truth, odometry = lawnmower(np.random.default_rng(5))
+    broken = np.tile(np.diag([np.nan] * 6), (27, 1, 1))
+    with pytest.raises(pose_graph.PoseGraphError, match="no solution"):
+        PoseGraph(truth[0], edges, broken).solve(odometry)
+
+
+def test_the_claimed_position_is_what_sampling_the_noise_finds():
+    rng, q = np.random.default_rng(6), np.diag([4.0, 0.25])
+    edges, truth, _ = lawnmower(rng)
+    between = np.linalg.inv(truth[edges.target]) @ truth[edges.source]
+    full = pose_graph.closure_covariances(np.tile(q, (27, 1, 1)), CLOSURE)
+    found = []
+    for _ in range(250):
+        steps = pose_graph.between(truth) @ misses(rng, pose_graph.sigmas(DEAD_RECKONING)[2:5], 35)
+        seen = Edges(edges.target, edges.source, between @ misses(rng, [CLOSURE.yaw_rad, 2.0, 0.5], 27))
+        graph = PoseGraph(truth[0], seen, full)
+        odometry = pose_graph.Odometry(steps, DEAD_RECKONING, truth)
+        found.append(graph.solve(odometry)[20, :2, 3])
+    claimed = graph.position_covariances(odometry, truth)[20]
+    whitened = np.linalg.solve(np.linalg.cholesky(claimed), (np.array(found) - truth[20, :2, 3]).T)
+    assert np.cov(whitened) == pytest.approx(np.eye(2), abs=0.3)
+
+
+def test_covariances_by_qr_are_those_of_marginals():
+    edges, truth, odometry = lawnmower(np.random.default_rng(7))
+    graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(np.tile(np.eye(2), (27, 1, 1)), CLOSURE))
+    usual = graph.position_covariances(odometry, truth)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pose_graph.gtsam, "Marginals", lambda *_: (_ for _ in ()).throw(RuntimeError("singular")))
+        assert graph.position_covariances(odometry, truth) == pytest.approx(usual, rel=1e-6, abs=1e-9)
 
 
 def test_noise_that_is_not_positive_is_refused():

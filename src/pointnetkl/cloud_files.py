@@ -2,11 +2,13 @@
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from pointnetkl import quaternion, text_lines
 from pointnetkl.errors import PointNetKLError
 
 _PLY_TYPES = {
@@ -42,9 +44,21 @@ def read(path: Path) -> np.ndarray:
     Raises:
         CloudFileError: the file is missing, damaged or of another form.
     """
+    return _guarded(path, _points)
+
+
+def read_posed(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (n, 3) of a PCD file, in its sensor's frame, and T_map_sensor (4, 4), its VIEWPOINT.
+
+    Raises:
+        CloudFileError: the file is missing or damaged, or of a form that has no pose.
+    """
+    return _guarded(path, _points), _guarded(path, _viewpoint)
+
+
+def _guarded(path: Path, reading: Callable[[Path, bytes], np.ndarray]) -> np.ndarray:
     try:
-        content = path.read_bytes()
-        return np.asarray(_points(path, content), np.float64)
+        return np.asarray(reading(path, path.read_bytes()), np.float64)
     except OSError as error:
         raise CloudFileError(f"{path}: cannot be read ({error.strerror})") from error
     except CloudFileError:
@@ -52,6 +66,20 @@ def read(path: Path) -> np.ndarray:
     except Exception as error:  # numpy, zipfile and UTF-8 each fail in their own ways on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise CloudFileError(f"{path}: is damaged, or no PCD, PLY, NPZ or text of x y z ({reason})") from error
+
+
+def _viewpoint(path: Path, content: bytes) -> np.ndarray:
+    header = _PCD_HEADER.match(content)
+    said = re.search(rb"^VIEWPOINT[ \t]+(.*?)[ \t\r]*$", header[0], re.MULTILINE) if header else None
+    if not said:
+        raise CloudFileError(f"{path}: holds no pose; write the submap as PCD with its pose as VIEWPOINT")
+    x, y, z, qw, qx, qy, qz = text_lines.numbers(said[1].decode().split())
+    orientation = np.array([[qx, qy, qz, qw]])
+    if not quaternion.is_unit(orientation)[0]:
+        raise CloudFileError(
+            f"{path}: the quaternion of its VIEWPOINT has not length 1; the order is x y z qw qx qy qz"
+        )
+    return quaternion.to_poses(np.array([[x, y, z]]), orientation)[0]
 
 
 def _points(path: Path, content: bytes) -> np.ndarray:

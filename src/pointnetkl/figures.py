@@ -1,6 +1,6 @@
 """The figures of a report: what of the results each one shows."""
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 
 from pointnetkl import (
     cases,
+    consistency_map,
+    consistency_plots,
     ellipse_plots,
     label_plots,
     label_study,
@@ -21,11 +23,11 @@ from pointnetkl import (
     summary,
     voxel,
 )
-from pointnetkl.results import Folders, Test
+from pointnetkl.results import Folders
 
-# What is shown of trajectories, and of ellipses beside the label's: the first of each that is there
-_SHOWN = (("gt",), ("corrupted",), ("monte_carlo",), ("network", "pointnetkl"))
+# What is shown of ellipses beside the label's: the first of each that is there
 _COMPARED = (("network", "pointnetkl"), ("structure_tensor",), ("censi_calibrated", "naive_gicp"))
+_CONSISTENT = ("truth", "gt", "corrupted", "constant", "naive_gicp", "network")  # trajectories, as far as there
 _SUBMAPS_ACROSS, _WORST = 4, 10
 _RELIABLE = (
     *("monte_carlo", "network", "pointnetkl", "structure_tensor", "cello"),
@@ -69,20 +71,6 @@ def canonical(clouds: Mapping[str, voxel.Clouds], rng: np.random.Generator) -> F
     return maps.canonical({name: _some(clouds[name].points, _CANONICAL_POINTS, rng) for name in names})
 
 
-def bathymetry(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> Figure:
-    """Draw the test surveys' depth maps: every submap at its GT pose; `spacing_m` is that of their points."""
-    placed = {}
-    for survey in surveys:
-        points = [pose.transform(T, cloud) for T, cloud in zip(survey.test.gt, survey.clouds, strict=True)]
-        placed[survey.name] = (np.concatenate(points), spacing_m[survey.name])
-    return maps.bathymetry(placed)
-
-
-def trajectories(tests: Mapping[str, Test]) -> Figure:
-    """Draw each test survey's graph at GT, corrupted, and solved."""
-    return maps.trajectories({name: _graph(test) for name, test in tests.items()})
-
-
 def labels(variations: pd.DataFrame, prior_m2: float, runtime: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """Yield the figures of what a label depends on (results.VARIATIONS), by name."""
     runs = runtime.get("machine", {}).get("params", {}).get("runs")
@@ -123,6 +111,12 @@ def worst(surveys: Sequence[cases.Survey]) -> Iterator[tuple[str, Figure]]:
             yield method, ellipse_plots.worst(method, cases.worst(surveys, method, _WORST))
 
 
+def consistency(folders: Folders, names: Iterable[str]) -> Figure:
+    """Draw where each test survey's map disagrees with itself, at a few trajectories."""
+    paths = {name: folders.reports / f"slam/{name}_consistency.tif" for name in names}
+    return consistency_plots.consistency({n: consistency_map.read(path, _CONSISTENT) for n, path in paths.items()})
+
+
 def reliability(surveys: Sequence[cases.Survey]) -> Figure:
     """Draw the coverage of the main methods' ellipses on errors that no label has seen, at every level."""
     tables = [
@@ -133,15 +127,6 @@ def reliability(surveys: Sequence[cases.Survey]) -> Figure:
         if each.test.held_out.size
     ]
     return reliability_plots.reliability(pd.concat([reliability_plots.EMPTY, *tables]))
-
-
-def _graph(test: Test) -> maps.Graph:
-    rows = {str(which): part for which, part in test.trajectories.groupby("which")}
-    positions = {
-        which: rows[which].sort_values("submap")[["x_m", "y_m"]].to_numpy() for which in _first_there(_SHOWN, rows)
-    }
-    before = np.arange(len(test.gt) - 1)
-    return maps.Graph(positions, np.stack([before, before + 1], -1), test.loop_closures)
 
 
 def _first_there(choices: Sequence[Sequence[str]], there: Container[str]) -> list[str]:

@@ -14,6 +14,12 @@ def keys(points: np.ndarray, cell: float) -> np.ndarray:
     return (column << 32) + row  # one to one while |row| < 2^31
 
 
+def places(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns and rows of cells, given their keys."""
+    row = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)  # the lower half, which has a sign
+    return (keys - row) >> 32, row
+
+
 def coverage(covered: np.ndarray, covering: np.ndarray) -> float:
     """Return the share of one footprint's cells that another one has too; keys as made by `cells`."""
     place = np.minimum(np.searchsorted(covering, covered), len(covering) - 1)

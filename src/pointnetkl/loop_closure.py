@@ -1,7 +1,7 @@
 """Loop closures of a survey by registration: the front end of Algorithm 1 of the paper."""
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +96,55 @@ def close(
     return front.closures()
 
 
+class Ground:
+    """Mapped ground that a cloud is registered to: points (n, 3) in the map frame."""
+
+    def __init__(
+        self, points: np.ndarray, origin: np.ndarray, reach: float | None, registration: gicp.Settings
+    ) -> None:
+        """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count."""
+        self._origin, self._reach, self._registration = origin, reach, registration  # small numbers register better
+        local = points - origin
+        self._tree = None if reach is None else cKDTree(local[:, :2])
+        self._target = gicp.prepare(local, registration)
+
+    def lay(self, cloud: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """Return the motion that lays a cloud on the ground, and whether it converged; None without a match.
+
+        The cloud (n, 3) is in the map frame, and `start` a motion about the origin.
+        """
+        moving = cloud - self._origin
+        moving = moving[self._over(moving, start)]
+        if len(moving) < self._registration.neighbours:
+            return None
+        return self._lay(gicp.prepare(moving, self._registration), start)
+
+    def lay_each(self, cloud: np.ndarray, starts: Iterable[np.ndarray]) -> list[tuple[np.ndarray, bool] | None]:
+        """Return what `lay` does of many starts, up to rounding, in less time."""
+        whole = gicp.prepare(cloud - self._origin, self._registration)
+        return [self._lay_part(whole, start) for start in starts]
+
+    def _lay_part(self, whole: gicp.Cloud, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        near = self._over(whole.points, start)
+        if near.sum() < self._registration.neighbours:
+            return None
+        return self._lay(gicp.part(whole, near, self._registration), start)
+
+    def _lay(self, source: gicp.Source, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        centre = self._target.centre
+        outcome = gicp.register(source, self._target, self._registration, about(start, -centre))
+        found = np.array([*outcome.translation, outcome.yaw])
+        return (about(found, self._origin + centre), outcome.converged) if outcome.matched_share > 0 else None
+
+    def _over(self, moving: np.ndarray, start: np.ndarray) -> np.ndarray:
+        # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
+        # drag a half-covered submap right across the target.
+        if self._tree is None or self._reach is None:
+            return np.ones(len(moving), bool)
+        distance, _ = self._tree.query(_moved(moving, start)[:, :2], distance_upper_bound=self._reach)
+        return np.isfinite(distance)
+
+
 class _FrontEnd:
     """The map as it grows: S_graph of Algorithm 1.
 
@@ -117,31 +166,22 @@ class _FrontEnd:
     def add(self, points: np.ndarray, T: np.ndarray, drift: np.ndarray, perturbation: np.ndarray) -> None:
         """Add the next submap, with pose T, moved by `drift`; register it if it closes a loop."""
         i = len(self._clouds)
-        cloud = pose.transform(_moved_pose(T, drift), points)
+        cloud = pose.transform(moved_pose(T, drift), points)
         targets = self._footprints.covering(cloud, self._share, among=i - 1)  # never S_{i-1}
         outcome = self._register(cloud, targets, perturbation) if len(targets) else None
         self.correction = drift if outcome is None else _then(drift, outcome[0])
         self._centroids.append(points[:, :2].mean(axis=0))
-        self._place(_moved(cloud, _since(drift, self.correction)), _moved_pose(T, self.correction))
+        self._place(_moved(cloud, _since(drift, self.correction)), moved_pose(T, self.correction))
         if outcome is not None:
-            start = _then(drift, _about(perturbation, cloud.mean(axis=0)))
+            start = _then(drift, about(perturbation, cloud.mean(axis=0)))
             self._connect(i, targets, [_shift(T, motion) for motion in (start, self.correction)], outcome[1])
         elif len(targets):
             self._rejected.append(i)
 
     def _register(self, cloud: np.ndarray, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
         """Return the motion that lays the cloud on its targets, and whether it converged; None without a match."""
-        origin = cloud.mean(axis=0)  # keeps the numbers of the registration small
-        fused, moving = np.concatenate([self._clouds[k] for k in targets]) - origin, cloud - origin
-        if self._reach is not None:
-            moving = _over(moving, fused, start, self._reach)
-        if len(moving) < self._registration.neighbours:
-            return None
-        target = gicp.prepare(fused, self._registration)
-        source = gicp.prepare(moving, self._registration)
-        outcome = gicp.register(source, target, self._registration, _about(start, -target.centre))
-        found = np.array([*outcome.translation, outcome.yaw])
-        return (_about(found, origin + target.centre), outcome.converged) if outcome.matched_share > 0 else None
+        fused = np.concatenate([self._clouds[k] for k in targets])
+        return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).lay(cloud, start)
 
     def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
         self._footprints.add(cloud)
@@ -175,22 +215,21 @@ class _FrontEnd:
         )
 
 
-def _over(moving: np.ndarray, fixed: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray:
-    # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
-    # drag a half-covered submap right across the target.
-    distance, _ = cKDTree(fixed[:, :2]).query(_moved(moving, start)[:, :2], distance_upper_bound=reach)
-    return moving[np.isfinite(distance)]
-
-
-def _moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    return np.column_stack([pose.turned(points[:, :2], motion[2]) + motion[:2], points[:, 2]])
-
-
-def _moved_pose(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def moved_pose(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4) in the map after a motion."""
     moved = T.copy()
     moved[:2] = pose.turned(T[:2].T, motion[2]).T
     moved[:2, 3] += motion[:2]
     return moved
+
+
+def about(motion: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return, about the origin, a motion that turns about a centre (2 or 3,)."""
+    return np.array([*motion[:2] + (centre[:2] - pose.turned(centre[:2], motion[2])), motion[2]])
+
+
+def _moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    return np.column_stack([pose.turned(points[:, :2], motion[2]) + motion[:2], points[:, 2]])
 
 
 def _shift(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -207,8 +246,3 @@ def _since(first: np.ndarray, both: np.ndarray) -> np.ndarray:
     """Return the motion that makes first both."""
     yaw = both[2] - first[2]
     return np.array([*both[:2] - pose.turned(first[:2], yaw), yaw])
-
-
-def _about(motion: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return, about the origin, a motion that turns about a centre (2 or 3,)."""
-    return np.array([*motion[:2] + (centre[:2] - pose.turned(centre[:2], motion[2])), motion[2]])

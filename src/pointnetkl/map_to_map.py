@@ -5,13 +5,18 @@ nearest point. A cell counts its worst pair, the map the root mean square over i
 one surface are never closer than their spacing allows, so a perfect map of independent soundings is not at zero.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from scipy.spatial import cKDTree
+import pandas as pd
 
-from pointnetkl import footprint, pose
+from pointnetkl import compute, footprint, map_kernel, pose
 from pointnetkl.errors import PointNetKLError
+from pointnetkl.map_cells import Cells
+
+_SHARES = 8  # of the cells, that a thread takes: what one has more of, another has less of
 
 
 class MapToMapError(PointNetKLError):
@@ -24,8 +29,8 @@ class MapToMap:
     def __init__(self, clouds: Sequence[np.ndarray], cell: float, thinning: int) -> None:
         """Prepare clouds (n_i, 3) in submap frames; cells of `cell` metres; every `thinning`-th point asks.
 
-        Only the points that ask are thinned. What they are compared with stays whole: thinning it would
-        lengthen every distance.
+        Only the points that ask, and say which submaps are in a cell, are thinned. What they are compared with
+        stays whole: thinning it would lengthen every distance.
 
         Raises:
             MapToMapError: the cell or the thinning is not positive.
@@ -34,23 +39,37 @@ class MapToMap:
             raise MapToMapError(f"cell is {cell:g} m and thinning {thinning}, must be above 0 and at least 1")
         self._cell = cell
         self._asking = [cloud[::thinning] for cloud in clouds]
+        self._owner = np.repeat(np.arange(len(clouds)), [len(points) for points in self._asking])
         # in the submaps' own frames, where they stay the same whatever the poses
-        self._trees = [cKDTree(cloud) for cloud in clouds]
+        self._to = map_kernel.buckets(clouds)
 
     def __call__(self, poses: np.ndarray) -> float:
         """Return the error in metres for poses T_map_submap (n, 4, 4); NaN where no two submaps share a cell."""
-        placed = [pose.transform(T, points) for T, points in zip(poses, self._asking, strict=True)]
-        points, owner = np.concatenate(placed), np.repeat(np.arange(len(placed)), [len(p) for p in placed])
-        cells, cell = np.unique(footprint.keys(points, self._cell), return_inverse=True)
-        by_cell = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
-        worst = np.full(len(cells), -1.0)  # below zero: fewer than two submaps
-        for b, tree in enumerate(self._trees):
-            here = np.concatenate([by_cell[c] for c in np.unique(cell[owner == b])])
-            asking = here[owner[here] != b]
-            distance, _ = tree.query(pose.transform(np.linalg.inv(poses[b]), points[asking]))
-            pair, place, count = np.unique(
-                owner[asking] * len(cells) + cell[asking], return_inverse=True, return_counts=True
-            )
-            np.maximum.at(worst, pair % len(cells), np.bincount(place, distance, len(pair)) / count)
-        shared = worst[worst >= 0.0]
-        return float(np.sqrt(np.mean(shared**2))) if len(shared) else float("nan")
+        return self.cells(poses).rms
+
+    def cells(self, poses: np.ndarray) -> Cells:
+        """Return the error of every cell that submaps share at poses T_map_submap (n, 4, 4)."""
+        points = np.concatenate([pose.transform(T, p) for T, p in zip(poses, self._asking, strict=True)])
+        keys, of = _unique(footprint.keys(points, self._cell))
+        starts, order = map_kernel.grouped(of, len(keys))
+        worst, to_submaps = np.empty(len(keys)), np.linalg.inv(poses)
+        arguments = (starts, self._owner[order], points[order], to_submaps, self._to, worst)
+        in_shares(lambda begin, end: map_kernel.worst_pairs(begin, end, *arguments), len(keys))
+        shared = worst >= 0.0
+        return Cells(*footprint.places(keys[shared]), worst[shared])
+
+
+def in_shares(work: Callable[[int, int], None], count: int) -> None:
+    """Do work(begin, end) on all of `count` cells, by threads: of a kernel, which lets others work meanwhile."""
+    bounds = np.linspace(0, count, compute.workers() * _SHARES + 1).astype(np.int64)
+    with ThreadPoolExecutor(compute.workers()) as pool:
+        list(pool.map(lambda share: work(*share), itertools.pairwise(bounds.tolist())))
+
+
+def _unique(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # the same as np.unique, without sorting every point
+    of, found = pd.factorize(keys)
+    order = np.argsort(found)
+    rank = np.empty(len(found), np.int64)
+    rank[order] = np.arange(len(found))
+    return found[order], rank[of]

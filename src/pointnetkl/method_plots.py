@@ -8,11 +8,17 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pointnetkl import families, paper, plots, text_table
+from pointnetkl import families, paper, plots, sheet, text_table
 
 _NEES = (0.25, 4.0)  # shown; what lies beyond stands at the border, its number beside it
 _GOOD_NEES = (0.85, 1.15)  # shaded
 _REFERENCES = ("navigation", "corrupted", "gt")  # rows of the SLAM table that no covariance made
+_FAR = 4.0  # times what most differences stay below, that is drawn
+_MEASURES = {
+    "truth_rmse_xyz_m": "not aligned",
+    "truth_rmse_se2_m": "aligned (SE(2))",
+    "truth_relative_m": "pairs that closures join",
+}
 _GOAL = 0.95  # of the ellipse that coverage is drawn of
 
 
@@ -89,6 +95,66 @@ def slam_error(slam: pd.DataFrame) -> Figure:
     )
     families.legend(figure, order)
     return figure
+
+
+def slam_differences(differences: pd.DataFrame) -> Figure:
+    """Draw how much larger each method's error against the truth is than network's, with the 95 % interval.
+
+    `differences` is slam_differences.differences: a column of panels for each survey, a row for each measure. What
+    lies far beyond the others stands at the border, its number beside it.
+    """
+    if differences.empty:
+        return sheet.nothing("no test survey has the truth and network's solutions")
+    relative = differences[differences["measure"] == "truth_relative_m"]
+    order = _order(relative, relative["difference_m"].astype(float))
+    figure, grid = _grid(differences, order, len(_MEASURES))
+    surveys = differences["survey"].unique()
+    for line, (measure, said) in zip(grid, _MEASURES.items(), strict=True):
+        rows = differences[differences["measure"] == measure]
+        known = rows["survey"].unique()  # without loop closures there are no pairs
+        for panel in _panels(rows, order, [axes for name, axes in zip(surveys, line, strict=True) if name in known]):
+            _differences(panel)
+            panel.axes.set_title(f"{paper.title(panel.survey)}: {said}", fontsize=9)
+            panel.axes.set_xlabel(f"less network's {panel.rows['network_m'].iloc[0]:.4g} (m)", fontsize=9)
+    families.legend(figure, order)
+    return figure
+
+
+def slam_both_ways(both: pd.DataFrame) -> Figure:
+    """Draw each method's error against the truth as it should be (filled) and with the authors' slips (hollow).
+
+    `both` is slam_differences.both_ways.
+    """
+    if both.empty:
+        return sheet.nothing("no test survey has the truth and was solved both ways")
+    order = _order(both, both["table_m"])
+    figure, grid = _grid(both, order, 1)
+    for panel in _panels(both, order, grid[0]):
+        colours = [families.of(method).colour for method in panel.rows["method"]]
+        panel.axes.hlines(panel.heights, panel.rows["table_m"], panel.rows["authors_m"], colors=colours, linewidth=1)
+        _points(panel, "table_m")
+        panel.axes.scatter(
+            panel.rows["authors_m"], panel.heights, s=45, facecolors="none", edgecolors=colours, zorder=4
+        )
+    figure.supxlabel("RMSE of submap positions against truth (m); hollow: with the authors' two slips", fontsize=9)
+    families.legend(figure, order)
+    return figure
+
+
+def _differences(panel: _Panel) -> None:
+    values = panel.rows["difference_m"].astype(float)
+    ends = panel.rows[["ci_low", "ci_high", "difference_m"]].astype(float)
+    far = _FAR * float(ends.abs().max(axis=1).quantile(0.75)) + 1e-9
+    low, high = np.clip([min(0.0, ends.min().min()), max(0.0, ends.max().max())], -far, far)
+    edge = 0.06 * (high - low) + 1e-9
+    panel.axes.axvline(0, color=plots.GREY, linewidth=1)
+    _whiskers(panel)
+    _points(replace(panel, rows=panel.rows.assign(shown=values.clip(low, high))), "shown")
+    for value, height in zip(values, panel.heights, strict=True):
+        if not low <= value <= high:
+            place, side = (high - edge, "right") if value > high else (low + edge, "left")
+            panel.axes.annotate(f"{value:+.3g}", (place, height), fontsize=8, ha=side, va="center")
+    panel.axes.set_xlim(low - edge, high + edge)
 
 
 def _order(table: pd.DataFrame, badness: pd.Series) -> list[str]:

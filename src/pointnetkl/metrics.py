@@ -32,6 +32,13 @@ def align_se2(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.column_stack([centred @ R.T + b.mean(axis=0), estimate[:, 2]])
 
 
+def align_4dof(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return positions (n, 3) turned about z and moved in x, y and z to lie closest to the reference (n, 3)."""
+    turned = align_se2(estimate, reference)
+    turned[:, 2] += np.mean(reference[:, 2] - estimate[:, 2])
+    return turned
+
+
 def resamples(count: int, rng: np.random.Generator, block: int = 1) -> np.ndarray:
     """Return which of `count` values each draw of a bootstrap takes, (draws, count) indices.
 

@@ -5,16 +5,24 @@ the target k to the source i, and Q_i, which is in submap i's frame, enters as i
 """
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from scipy import linalg
 
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.settings import require_positive
 
 _XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
 _FIRST_POSE_SIGMA = 1e-6  # metres and radians: the first node is held, and this says how
+# Beside variances of 1e-6 m^2 Cholesky cannot solve the system. Levenberg-Marquardt takes that for a bad step, and
+# ends anywhere without a word. QR can, four times as slowly; from far away it may still end in a wrong basin.
+_CHOLESKY, _QR = "MULTIFRONTAL_CHOLESKY", "MULTIFRONTAL_QR"
+_SOFTENING_M2 = 1e-2
+_STEPS = 20
+_STEADY_M = 1e-3  # what a step more may move a pose at a minimum
 
 
 class PoseGraphError(PointNetKLError):
@@ -93,6 +101,17 @@ def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray |
     return full
 
 
+class Odometry:
+    """Dead reckoning as the graphs of all methods share it: its factors, and the poses that the search starts from."""
+
+    def __init__(self, relative: np.ndarray, noise: DeadReckoningNoise, initial: np.ndarray) -> None:
+        """Take each node's pose in the frame of the one before (n - 1, 4, 4), and initial T_map_submap (n, 4, 4)."""
+        model = gtsam.noiseModel.Diagonal.Sigmas(sigmas(noise))
+        self.factors, self.initial = gtsam.NonlinearFactorGraph(), _values(initial)
+        for node, T in enumerate(relative):
+            self.factors.add(gtsam.BetweenFactorPose3(node, node + 1, gtsam.Pose3(T), model))
+
+
 class PoseGraph:
     """The edges that do not change from one corruption to the next: a held first node, and loop closures."""
 
@@ -101,44 +120,115 @@ class PoseGraph:
 
         GTSAM takes an indefinite covariance without a word: check Q before it comes here.
         """
-        held = gtsam.noiseModel.Isotropic.Sigma(6, _FIRST_POSE_SIGMA)
-        self._fixed = gtsam.NonlinearFactorGraph()
-        self._fixed.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(first), held))
-        for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
-            model = gtsam.noiseModel.Gaussian.Covariance(covariance)
-            self._fixed.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
+        self._made_of = first, closures, covariances
+        self._fixed = _fixed(first, closures, covariances)
+        self._stiff = False  # whether Cholesky has failed
 
     def optimise(self, dead_reckoning: np.ndarray, noise: DeadReckoningNoise, initial: np.ndarray) -> np.ndarray:
-        """Return the most likely poses (n, 4, 4) by Levenberg-Marquardt, from initial ones (n, 4, 4).
+        """Return the most likely poses (n, 4, 4) from initial ones (n, 4, 4), as `solve` does.
 
         `dead_reckoning` (n - 1, 4, 4) is each node's pose in the frame of the one before.
+        """
+        return self.solve(Odometry(dead_reckoning, noise, initial))
+
+    def solve(self, odometry: Odometry) -> np.ndarray:
+        """Return the most likely poses (n, 4, 4), by Levenberg-Marquardt.
 
         Raises:
-            PoseGraphError: the linear system has no solution, or the answer is not finite.
+            PoseGraphError: it ends at no minimum.
         """
-        graph = gtsam.NonlinearFactorGraph(self._fixed)
-        _add_dead_reckoning(graph, dead_reckoning, noise)
-        values = gtsam.Values()
-        for node, T in enumerate(initial):
-            values.insert(node, gtsam.Pose3(T))
+        graph = _joined(self._fixed, odometry)
+        found = None if self._stiff else _minimum(graph, odometry.initial, _CHOLESKY)
+        if found is None:
+            self._stiff = True  # a graph that is so once is so under other noise too
+            near = _minimum(_joined(self._soft, odometry), odometry.initial, _CHOLESKY)
+            found = None if near is None else _minimum(graph, _values(near), _QR)
+        if found is None:
+            raise PoseGraphError(
+                f"a graph of {odometry.initial.size()} nodes has no solution: the search ends at no minimum; look for"
+                " covariances that are next to singular"
+            )
+        return found
+
+    def position_covariances(self, odometry: Odometry, poses: np.ndarray) -> np.ndarray:
+        """Return the covariances (n, 2, 2) of x, y, m^2 in the map, that the graph claims of its solution (n, 4, 4)."""
+        solution = _values(poses)
+        linear = _joined(self._fixed, odometry).linearize(solution)
         try:
-            solution = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-        except RuntimeError as error:
-            cause = str(error).strip().splitlines()[0]
-            raise PoseGraphError(f"a graph of {len(initial)} nodes has no solution ({cause})") from error
-        return _poses(solution)
+            marginals = gtsam.Marginals(linear, solution)
+            of_nodes = np.array([marginals.marginalCovariance(node) for node in range(len(poses))])
+        except RuntimeError:  # singular, to Cholesky
+            of_nodes = _marginals(linear)
+        R = poses[:, :3, :3]  # a marginal is in its node's own frame
+        return np.asarray((R @ of_nodes[:, 3:, 3:] @ np.swapaxes(R, 1, 2))[:, :2, :2])
+
+    @functools.cached_property
+    def _soft(self) -> gtsam.NonlinearFactorGraph:
+        """Return the factors with closures less sure: from their solution it is not far, and no wrong basin nearer."""
+        first, closures, covariances = self._made_of
+        more = np.diag([0.0, 0.0, 0.0, _SOFTENING_M2, _SOFTENING_M2, 0.0])
+        return _fixed(first, closures, covariances + more)
 
 
-def _add_dead_reckoning(graph: gtsam.NonlinearFactorGraph, measured: np.ndarray, noise: DeadReckoningNoise) -> None:
-    model = gtsam.noiseModel.Diagonal.Sigmas(sigmas(noise))
-    for node, T in enumerate(measured):
-        graph.add(gtsam.BetweenFactorPose3(node, node + 1, gtsam.Pose3(T), model))
+def _fixed(first: np.ndarray, closures: Edges, covariances: np.ndarray) -> gtsam.NonlinearFactorGraph:
+    factors = gtsam.NonlinearFactorGraph()
+    factors.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(first), gtsam.noiseModel.Isotropic.Sigma(6, _FIRST_POSE_SIGMA)))
+    for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
+        model = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        factors.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
+    return factors
+
+
+def _joined(fixed: gtsam.NonlinearFactorGraph, odometry: Odometry) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph(fixed)
+    graph.push_back(odometry.factors)
+    return graph
+
+
+def _minimum(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, solver: str) -> np.ndarray | None:
+    """Return the poses (n, 4, 4) that the search finds; None if it ends where undamped steps do not come to rest.
+
+    Those steps stand at its end in any case: it stops at a change of the error that may still be centimetres.
+    """
+    search, how = gtsam.LevenbergMarquardtParams(), gtsam.GaussNewtonParams()
+    search.setMaxIterations(_STEPS)
+    search.setLinearSolverType(solver)
+    how.setLinearSolverType(solver)
+    try:
+        near = gtsam.LevenbergMarquardtOptimizer(graph, initial, search).optimize()
+    except RuntimeError:  # not even the first system has a solution
+        return None
+    steps = gtsam.GaussNewtonOptimizer(graph, near, how)
+    before = _poses(near)
+    for _ in range(_STEPS):
+        try:
+            steps.iterate()
+        except RuntimeError:  # a system that is singular to working precision
+            return None
+        after = _poses(steps.values())
+        if np.abs(after - before)[:, :3, 3].max() < _STEADY_M:
+            return after
+        before = after
+    return None
+
+
+def _marginals(linear: gtsam.GaussianFactorGraph) -> np.ndarray:
+    """Return the nodes' covariances (n, 6, 6), by QR."""
+    order = gtsam.Ordering.NaturalGaussianFactorGraph(linear)
+    root, _ = linear.eliminateSequential(order, gtsam.EliminateQR).matrix()
+    of_node = linalg.solve_triangular(root, np.eye(len(root))).reshape(-1, 6, len(root))
+    return of_node @ np.swapaxes(of_node, 1, 2)
+
+
+def _values(poses: np.ndarray) -> gtsam.Values:
+    values = gtsam.Values()
+    for node, T in enumerate(poses):
+        values.insert(node, gtsam.Pose3(T))
+    return values
 
 
 def _poses(values: gtsam.Values) -> np.ndarray:
     rows = gtsam.utilities.extractPose3(values)  # by key: rotation row by row, then position
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
-    if not np.isfinite(poses).all():
-        raise PoseGraphError(f"a graph of {len(rows)} nodes has poses that are not numbers")
     return poses

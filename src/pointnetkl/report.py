@@ -10,15 +10,24 @@ import pandas as pd
 
 from pointnetkl import (
     artifacts,
+    calibration_plots,
     cases,
     class_tables,
+    closure_tables,
+    closures,
     figures,
     label_study,
     label_tables,
+    map_tables,
     page,
     plots,
     results,
+    robustness,
+    robustness_plots,
     simulation,
+    slam_figures,
+    slam_summary,
+    slam_tables,
     story,
     summary,
     tables,
@@ -26,6 +35,7 @@ from pointnetkl import (
     text_table,
     voxel,
 )
+from pointnetkl.closures import Closures
 from pointnetkl.results import Folders, Labels, Test
 from pointnetkl.study import Study
 from pointnetkl.summary import Settings
@@ -33,7 +43,8 @@ from pointnetkl.text_table import Block
 
 _IN_WORDS = (
     *("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise"),
-    "terrain",
+    *("table_4_authors", "slam_variants"),
+    *("terrain", "map_thinning", "calibration_lc", "robustness", "loop_gate"),
 )
 
 
@@ -52,9 +63,12 @@ class _Found:
     labels: Mapping[str, Labels]
     canonical: Mapping[str, voxel.Clouds]
     tests: Mapping[str, Test]
+    closures: Mapping[str, Closures]
     training: Mapping[str, Mapping[str, float]]  # by method that learns, its KL in training and validation, nats
     runtime: Mapping[str, Any]
     variations: pd.DataFrame  # schema results.VARIATIONS
+    map_thinning: pd.DataFrame  # schema map_tables.THINNING
+    wrong: robustness.Found
 
 
 def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
@@ -83,15 +97,19 @@ def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Setti
 def _read(folders: Folders, study: Study, settings: Settings) -> _Found:
     labels = {name: results.read_labels(folders, name) for name in study.surveys}
     clouds = {name: folders.data / f"clouds/{name}.npz" for name in study.surveys}
+    tests = {name: results.read_test(folders, name, labels[name]) for name in study.test}
     return _Found(
         labels=labels,
         canonical={
             n: voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path)) for n, path in clouds.items()
         },
-        tests={name: results.read_test(folders, name, labels[name]) for name in study.test},
+        tests=tests,
+        closures={name: closures.read(folders, name, labels[name], test) for name, test in tests.items()},
         training=results.read_training(folders, study.models, settings.kl_floor_m2),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
         variations=results.read_variations(folders, study),
+        map_thinning=map_tables.read(folders.reports / "slam", study.test),
+        wrong=robustness.read(folders, study.test),
     )
 
 
@@ -123,6 +141,10 @@ def _numbers(
         "datasets": datasets,
         "kl": {**found.training.get("pointnetkl", {}), **kl},
         "calibration": {name: summary.calibrations(each) for name, each in judged.items()},
+        "calibration_lc": closures.calibrations(found.closures),
+        "closures": {name: closures.sizes(of) for name, of in found.closures.items()},
+        "closures_by_hold": {name: closures.by_hold(of) for name, of in found.closures.items()},
+        "closure_ratios": {name: closures.dependence(of) for name, of in found.closures.items()},
         "terrain": {n: terrain.counts(classes[n], slopes[n], found.labels[n].q, trained) for n in study.surveys},
         "by_class": {n: summary.by_class(n, each, classes[n], trained, settings) for n, each in judged.items()},
         "by_size": {name: summary.by_size(each, settings) for name, each in judged.items()},
@@ -130,7 +152,10 @@ def _numbers(
             name: summary.by_copy(name, found.labels[name], test, found.variations, settings)
             for name, test in found.tests.items()
         },
-        "slam": {name: summary.slam(name, test, settings) for name, test in found.tests.items()},
+        "slam": {name: slam_summary.summarise(name, test, settings) for name, test in found.tests.items()},
+        "slam_authors": {name: slam_summary.authors(name, test, settings) for name, test in found.tests.items()},
+        "slam_variants": {name: slam_summary.variants(test) for name, test in found.tests.items()},
+        **robustness.numbers(found.wrong),
     }
 
 
@@ -152,7 +177,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "table_1": tables.table_1(datasets),
         "table_2": [*tables.table_2(numbers["kl"], datasets, found.training), kl],
         "table_3": tables.table_3(found.runtime, methods),
-        "table_4": [*tables.table_4(numbers["slam"], datasets), slam],
+        "table_4": [*tables.table_4(numbers["slam"], datasets), slam, slam_tables.draws(numbers["slam"], datasets)],
         "labels": [tables.label_quantiles(eigenvalues, datasets)],
         "label_quality": [label_tables.quality(rows, datasets)],
         "label_accuracy": [label_tables.accuracy(label_study.accuracy(found.variations), datasets)],
@@ -161,6 +186,10 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "kl": [kl],
         "calibration": [tables.calibrations(numbers["calibration"], datasets)],
         "slam": [slam],
+        **slam_tables.every(numbers, datasets),
+        "map_thinning": [map_tables.thinning(found.map_thinning, datasets)],
+        **robustness.tables(found.wrong, datasets),
+        **closure_tables.every(numbers, datasets),
         **class_tables.every(numbers, datasets),
     }
 
@@ -194,12 +223,17 @@ def _figures(
         cases.Survey(name, results.read_points(folders, name)[0], found.labels[name], test, settings.kl_floor_m2)
         for name, test in found.tests.items()
     ]
-    yield "bathymetry", plots.png(figures.bathymetry(surveys, spacing))
     yield "submaps", plots.png(figures.submaps(surveys))
     for name, figure in figures.worst(surveys):
         yield f"worst/{name}", plots.png(figure)
     yield "reliability", plots.png(figures.reliability(surveys))
-    yield "trajectories", plots.png(figures.trajectories(found.tests))
+    for name, figure in calibration_plots.every(shown["calibration_lc"][0].frame, found.closures):
+        yield name, plots.png(figure)
+    for name, figure in robustness_plots.figures(found.wrong):
+        yield name, plots.png(figure)
+    yield "consistency", plots.png(figures.consistency(folders, study.test))
+    for name, figure in slam_figures.figures(surveys, spacing):
+        yield name, plots.png(figure)
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):
         yield name, plots.png(figure)
 

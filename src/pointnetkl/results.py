@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pointnetkl import artifacts, submap, survey
+from pointnetkl import artifacts, map_frame, submap, survey
 from pointnetkl.covariance import table
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.study import Study
@@ -26,8 +26,10 @@ _LABEL = [("submap", pa.int32()), ("runs", pa.int32()), ("spacing_m", pa.float64
 LABELS = pa.schema([*_LABEL, ("self_matching", pa.bool_())])
 _VARIED = [("noise_sigma_m", pa.float64()), ("cell_m", pa.float64()), ("points", pa.int32())]
 VARIATIONS = pa.schema([*((name, pa.string()) for name in ("survey", "study", "copy")), *_VARIED, *_LABEL])
-ERRORS = ("rmse_xyz_m", "truth_rmse_xyz_m", "map_to_map_m")
-SLAM = pa.schema([("method", pa.string()), ("repetition", pa.int32()), *((name, pa.float64()) for name in ERRORS)])
+_RMSES = [f"{against}rmse_{aligned}_m" for against in ("", "truth_") for aligned in ("xyz", "se2", "4dof")]
+SLAM_ERRORS = (*_RMSES, "map_to_map_m", "map_to_map_auvlib_m", "pose_nees")  # of one solution
+_RUN = [("variant", pa.string()), ("method", pa.string()), ("draw", pa.int32()), ("repetition", pa.int32())]
+SLAM = pa.schema([*_RUN, *((name, pa.float64()) for name in (*SLAM_ERRORS, "truth_relative_m"))])
 TRAJECTORIES = pa.schema(
     [("which", pa.string()), ("submap", pa.int32()), *((n, pa.float64()) for n in ("x_m", "y_m", "z_m", "yaw_rad"))]
 )
@@ -45,8 +47,17 @@ _TESTED = (
     "covariances/{}_estimated.parquet",
     "covariances/{}_predicted.parquet",
     "graphs/{}.npz",
+    "closures/{}.parquet",
+    "closures/{}_covariances.parquet",
 )
-_SLAM = ("slam/{}.parquet", "slam/{}_trajectories.parquet")
+_SLAM = (
+    "slam/{}.parquet",
+    "slam/{}_trajectories.parquet",
+    "slam/{}_consistency.tif",
+    "slam/{}_map_thinning.parquet",
+    "robustness/{}.parquet",
+    "robustness/{}_gate.parquet",
+)
 _TRAINED = ("train/{}.csv", "train/{}.json")
 
 
@@ -110,15 +121,15 @@ class Test:
     trajectories: pd.DataFrame  # schema TRAJECTORIES
     gt: np.ndarray  # (n, 4, 4) T_map_submap of navigation optimised with the labels
     loop_closures: np.ndarray  # (e, 2) nodes k and i of each edge
-    registrations: int  # that the edges come from
+    registered: np.ndarray  # (r,) submaps whose registrations the edges come from
+    registration_errors: np.ndarray  # (r, M) against the truth in the submap's frame, metres; NaN where not known
 
 
 def read_labels(folders: Folders, name: str) -> Labels:
     """Read a survey's labels."""
     path = folders.data / f"labels/{name}.parquet"
     rows = artifacts.read_table(path, LABELS, also=table.YAW)
-    columns = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
-    number, spacing, matching = columns
+    number, spacing, matching = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
     return Labels(number, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
 
 
@@ -139,6 +150,7 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
     errors, _ = artifacts.read_arrays(path)  # `errors` of it, the labels' own, ends in NaN where a label stopped early
     _same_submaps(path, errors["submap"], labels, "the held-out errors")
     graph, _ = artifacts.read_arrays(folders.data / f"graphs/{name}.npz")
+    first = graph["registration_draw"] == 0
     return Test(
         covariances=covariances,
         held_out=errors["held_out"],
@@ -146,7 +158,8 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
         trajectories=artifacts.read_table(folders.reports / f"slam/{name}_trajectories.parquet", TRAJECTORIES),
         gt=graph["gt"],
         loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1)[graph["edge_draw"] == 0],
-        registrations=int(np.sum(graph["registration_draw"] == 0)),
+        registered=graph["number"][graph["registration_node"][first]],
+        registration_errors=graph["registration_error_truth_m"][first],
     )
 
 
@@ -171,16 +184,9 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
 
 
 def read_frame(folders: Folders, name: str) -> tuple[np.ndarray, str]:
-    """Read the origin (2,) of a survey's map frame, and the CRS that it is given in.
-
-    Raises:
-        ResultsError: the survey does not say.
-    """
-    path = folders.data / f"surveys/{name}/pings.parquet"
-    frame = artifacts.table_metadata(path)
-    if len(frame.get("origin", ())) != 2 or "crs" not in frame:
-        raise ResultsError(f"{path}: must name the crs and origin of its map frame; run dvc repro ingest@{name}")
-    return np.array(frame["origin"], float), str(frame["crs"])
+    """Read the origin (2,) of a survey's map frame, and the CRS that it is given in."""
+    origin, crs = map_frame.read(folders.data / f"surveys/{name}/pings.parquet")
+    return np.array(origin), crs
 
 
 def read_pings(folders: Folders, name: str) -> pd.DataFrame:

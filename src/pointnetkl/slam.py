@@ -1,74 +1,106 @@
-"""The SLAM benchmark: one graph, corrupted many times, optimised with every method's covariances (Table IV)."""
+"""The SLAM benchmark's graphs: what corrupts them, and whose covariances are on their edges (Table IV).
+
+The paper's table is of one graph and many noises. Beside it stand some noises on each of some draws of the loop
+closures, and two variants of the table: the other way to count edges, and the authors' slips. See `slam_benchmark`.
+"""
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from tqdm import tqdm
 
-from pointnetkl import metrics, pose, pose_graph, survey_graph
+from pointnetkl import authors_slam, pose, pose_graph, survey_graph
 from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
+from pointnetkl.pose_graph import PoseGraph
+from pointnetkl.settings import require_positive, require_seed
 from pointnetkl.survey_graph import SurveyGraph
 
-# A row per method and repetition; `navigation` has one row, all repetitions of it would be the same.
+# A row per variant, method, draw and repetition; `navigation` has one row, all repetitions of it would be the same.
+_ERRORS = ("rmse_xyz_m", "rmse_se2_m", "rmse_4dof_m")  # as they are, and aligned in two ways: see slam_errors
 ROWS = pa.schema(
     [
         ("survey", pa.string()),
+        ("variant", pa.string()),  # table; shared or all, the other way to count edges; authors
         ("method", pa.string()),
+        ("draw", pa.int32()),  # of the loop closures; 0 is the paper's graph
         ("repetition", pa.int32()),
-        ("rmse_xyz_m", pa.float64()),  # against GT, not aligned
-        ("rmse_se2_m", pa.float64()),  # against GT, turned and moved in the plane to fit best
-        ("truth_rmse_xyz_m", pa.float64()),  # against the truth; null where it is not known
-        ("truth_rmse_se2_m", pa.float64()),
+        *((name, pa.float64()) for name in _ERRORS),  # against GT
+        *((f"truth_{name}", pa.float64()) for name in _ERRORS),  # against the truth; null where it is not known
+        ("truth_relative_m", pa.float64()),  # of pairs that a loop closure joins
         ("map_to_map_m", pa.float64()),  # null in the repetitions that do not measure it
+        ("map_to_map_auvlib_m", pa.float64()),
+        ("pose_nees", pa.float64()),  # in one repetition
     ]
 )
-# Of repetition 0, for figures; `which` is truth, navigation, gt, corrupted or a method.
+# Of draw 0, repetition 0, for figures; `which` is truth, navigation, gt, corrupted or a method.
 TRAJECTORIES = pa.schema(
     [("survey", pa.string()), ("which", pa.string()), ("submap", pa.int32())]
     + [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "yaw_rad")]
 )
-MapError = Callable[[np.ndarray], float]
+TABLE, AUTHORS = "table", "authors"
+FEW = ("monte_carlo", "constant", "naive_gicp", "pointnetkl", "network")  # of the variants: the paper's, and our best
+Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 
 
 class SlamError(PointNetKLError):
-    """The benchmark cannot run on these settings or covariances."""
+    """The benchmark cannot run on these covariances."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Section `slam` of the parameters."""
+    """Section `slam` of the parameters; refused by a ValueError where it makes no sense."""
 
     seed: int
     repetitions: int
+    draw_repetitions: int
     yaw_sigma_rad: float
     edges: str
+    floor_m2: float
     map_to_map_repetitions: int
     map_cell_m: float
     map_thinning: int
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            SlamError: a setting is out of its range.
-        """
+        """Refuse numbers out of their range, and another way to count edges than there is."""
+        require_seed(self.seed)
+        require_positive(self, "repetitions", "draw_repetitions", "map_cell_m", "map_thinning")
+        if self.draw_repetitions > self.repetitions:
+            raise ValueError(f"draw_repetitions is {self.draw_repetitions}, must be at most repetitions")
         if self.edges not in ("all", "shared"):
-            raise SlamError(f"slam.edges is {self.edges!r}, must be all or shared")
-        if self.repetitions < 1 or self.yaw_sigma_rad < 0:
-            raise SlamError(
-                f"slam.repetitions is {self.repetitions} and yaw_sigma_rad {self.yaw_sigma_rad};"
-                " they must be at least 1 and not negative"
-            )
+            raise ValueError(f"edges is {self.edges!r}, must be all or shared")
+        for name in ("yaw_sigma_rad", "floor_m2", "map_to_map_repetitions"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
 
-def corrupt(graph: SurveyGraph, repetition: int, settings: Settings) -> np.ndarray:
+class Variant(NamedTuple):
+    """One way to run the benchmark, and on which methods."""
+
+    name: str
+    edges: str  # all or shared
+    methods: Sequence[str]
+
+    def repetitions(self, draw: int, settings: Settings) -> int:
+        """Return how many noises a draw of the loop closures gets."""
+        return settings.repetitions if draw == 0 and self.name in (TABLE, AUTHORS) else settings.draw_repetitions
+
+
+def variants(methods: Iterable[str], settings: Settings) -> list[Variant]:
+    """Return the table, with all methods, and its variants, with a few of them."""
+    every = list(methods)
+    few = [name for name in FEW if name in every]
+    other = "shared" if settings.edges == "all" else "all"
+    return [Variant(TABLE, settings.edges, every), Variant(other, other, few), Variant(AUTHORS, settings.edges, few)]
+
+
+def corrupt(graph: SurveyGraph, draw: int, repetition: int, settings: Settings) -> np.ndarray:
     """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever the method."""
-    seed = [settings.seed, zlib.crc32(graph.survey.encode()), repetition]
+    seed = [settings.seed, zlib.crc32(graph.survey.encode()), draw, repetition]
     exact = pose_graph.between(graph.gt)
     noise = np.random.default_rng(seed).normal(0.0, settings.yaw_sigma_rad, len(exact))
     turns = [pose.matrix(np.zeros(3), yaw) for yaw in noise]
@@ -86,8 +118,10 @@ def weights(registration: np.ndarray, edges: str) -> np.ndarray:
     return np.bincount(registration)[registration].astype(np.float64)
 
 
-def by_method(covariances: pd.DataFrame) -> dict[str, dict[int, np.ndarray]]:
+def by_method(covariances: pd.DataFrame, floor: float = 0.0) -> dict[str, dict[int, np.ndarray]]:
     """Return Q (M, M) by method and submap, of covariance tables joined; methods in their order there.
+
+    `floor`, m^2, is added to each (gaussian.with_floor).
 
     Raises:
         CovarianceError: a Q is not a covariance.
@@ -100,57 +134,23 @@ def by_method(covariances: pd.DataFrame) -> dict[str, dict[int, np.ndarray]]:
     found: dict[str, dict[int, np.ndarray]] = {}
     rows = covariances[["method", "submap"]].itertuples(index=False)
     for (method, number), q in zip(rows, table.to_matrices(covariances), strict=True):
-        found.setdefault(method, {})[int(number)] = gaussian.check(q, f"submap {number}, {method}")
+        checked = gaussian.check(q, f"submap {number}, {method}")
+        found.setdefault(method, {})[int(number)] = gaussian.with_floor(checked, floor)
     return found
 
 
-def pose_graphs(
-    graph: SurveyGraph, methods: Mapping[str, Mapping[int, np.ndarray]], edges: str
-) -> dict[str, pose_graph.PoseGraph]:
-    """Return each method's factors that no repetition changes: the held first node and the loop closures."""
-    weight = weights(graph.closures.registration, edges)[:, None, None]
+def pose_graphs(graph: SurveyGraph, methods: Methods, variant: Variant, draw: int = 0) -> dict[str, PoseGraph]:
+    """Return each method's factors that no repetition changes: the held first node and a draw's loop closures."""
+    closures = graph.draws[draw]
+    weight = weights(closures.registration, variant.edges)[:, None, None]
     made = {}
-    for name, q in methods.items():
-        edge_q = survey_graph.edge_covariances(graph.number, q, graph.closures, f"{graph.survey}, {name}")
-        full = pose_graph.closure_covariances(edge_q * weight, graph.closure_noise, graph.closures.levers)
-        made[name] = pose_graph.PoseGraph(graph.gt[0], graph.closures.edges, full)
+    for name in variant.methods:
+        q = survey_graph.edge_covariances(graph.number, methods[name], closures, f"{graph.survey}, {name}")
+        edges, full = closures.edges, pose_graph.closure_covariances(q * weight, graph.closure_noise, closures.levers)
+        if variant.name == AUTHORS:
+            edges, full = authors_slam.closures(edges, full)
+        made[name] = PoseGraph(graph.gt[0], edges, full)
     return made
-
-
-def estimates(
-    graph: SurveyGraph, methods: Mapping[str, Mapping[int, np.ndarray]], settings: Settings
-) -> Iterator[tuple[str, int, np.ndarray]]:
-    """Yield method, repetition and its poses (n, 4, 4); `navigation` first, and `corrupted` before its remedies."""
-    yield "navigation", 0, graph.navigation
-    graphs = pose_graphs(graph, methods, settings.edges)
-    for repetition in tqdm(range(settings.repetitions), "slam", unit="repetition", mininterval=0.5):
-        dead_reckoning = corrupt(graph, repetition, settings)
-        corrupted = pose_graph.chain(graph.gt[0], dead_reckoning)
-        yield "corrupted", repetition, corrupted
-        for name, factors in graphs.items():
-            yield name, repetition, factors.optimise(dead_reckoning, graph.dead_reckoning_noise, corrupted)
-
-
-def benchmark(
-    graph: SurveyGraph,
-    methods: Mapping[str, Mapping[int, np.ndarray]],
-    map_error: MapError,
-    settings: Settings,
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the benchmark's tables (ROWS, TRAJECTORIES) for covariances by method and submap.
-
-    `map_error` gives the map-to-map error of poses (n, 4, 4) in metres. Progress is shown.
-    """
-    known = {"truth": graph.truth, "gt": graph.gt}
-    trajectories = [_trajectory(graph, which, poses) for which, poses in known.items() if np.isfinite(poses).all()]
-    rows = []
-    for method, repetition, poses in estimates(graph, methods, settings):
-        measured = repetition < settings.map_to_map_repetitions
-        row = {"survey": graph.survey, "method": method, "repetition": repetition, **_errors(graph, poses)}
-        rows.append({**row, "map_to_map_m": map_error(poses) if measured else np.nan})
-        if repetition == 0:
-            trajectories.append(_trajectory(graph, method, poses))
-    return pd.DataFrame(rows), pd.concat(trajectories, ignore_index=True)
 
 
 def clouds_of(graph: SurveyGraph, clouds: Mapping[int, np.ndarray]) -> Sequence[np.ndarray]:
@@ -162,20 +162,3 @@ def clouds_of(graph: SurveyGraph, clouds: Mapping[int, np.ndarray]) -> Sequence[
     if missing := [int(number) for number in graph.number if int(number) not in clouds]:
         raise SlamError(f"{graph.survey}: submap {missing[0]} of the graph has no points; run dvc repro")
     return [clouds[int(number)] for number in graph.number]
-
-
-def _errors(graph: SurveyGraph, poses: np.ndarray) -> dict[str, float]:
-    position, gt, truth = (T[:, :3, 3] for T in (poses, graph.gt, graph.truth))
-    return {
-        "rmse_xyz_m": metrics.rmse(position, gt),
-        "rmse_se2_m": metrics.rmse(metrics.align_se2(position, gt), gt),
-        "truth_rmse_xyz_m": metrics.rmse(position, truth),
-        "truth_rmse_se2_m": metrics.rmse(metrics.align_se2(position, truth), truth),
-    }
-
-
-def _trajectory(graph: SurveyGraph, which: str, poses: np.ndarray) -> pd.DataFrame:
-    x, y, z = poses[:, :3, 3].T
-    yaw = [pose.yaw_of(T) for T in poses]
-    columns = {"submap": graph.number, "x_m": x, "y_m": y, "z_m": z, "yaw_rad": yaw}
-    return pd.DataFrame({"survey": graph.survey, "which": which, **columns})

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pointnetkl import label_story, slam_story, terrain_story
+from pointnetkl import closure_story, label_story, map_story, robustness_story, slam_story, terrain_story
 from pointnetkl.page import Section
 from pointnetkl.results import Labels, Test
 from pointnetkl.study import Study
@@ -45,10 +45,13 @@ def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, La
         _training(),
         _kl(shown, copies),
         _calibration(shown),
+        closure_story.section(shown, copies),
         terrain_story.classes(shown),
         terrain_story.limits(copies, datasets),
         _time(shown),
         *slam_story.sections(shown),
+        map_story.section(shown),
+        robustness_story.section(shown),
     ]
 
 

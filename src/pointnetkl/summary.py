@@ -11,12 +11,14 @@ import pandas as pd
 
 from pointnetkl import footprint, label_study, metrics, pose, survey, terrain, text_table, voxel
 from pointnetkl.covariance import table
-from pointnetkl.results import ERRORS, Labels, Test
+from pointnetkl.results import Labels, Test
 
 GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
 OURS = "network"  # whom the others are compared with, pair by pair
 # m^2, of a label's larger eigenvalue: a position known to 0.1 m, to 1 m, or worse
 _SIZES = {"below 0.01": (0.0, 0.01), "0.01 to 1": (0.01, 1.0), "above 1": (1.0, np.inf)}
+
+_TABLES_ONLY = ("by_class", "by_size", "by_copy", "slam_authors", "slam_variants")
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def divergences(name: str, of: Judged, settings: Settings) -> dict[str, Any]:
     same draws.
     """
     floor = settings.kl_floor_m2
-    draws = metrics.resamples(len(of.labels), _rng(settings, name), settings.block_submaps)
+    draws = metrics.resamples(len(of.labels), rng(settings, name), settings.block_submaps)
     found = {method: metrics.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
     if OURS in found and len(of.labels) >= metrics.FEWEST:
         each = {method: metrics.divergence(of.labels, of.covariances[method], floor) for method in found}
@@ -159,23 +161,13 @@ def by_copy(name: str, labels: Labels, test: Test, variations: pd.DataFrame, set
 
 def published(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Return the numbers as metrics.json has them: of the terrain classes, only what decides between methods."""
-    kept = {key: value for key, value in numbers.items() if key not in ("by_class", "by_size", "by_copy")}
+    kept = {key: value for key, value in numbers.items() if key not in _TABLES_ONLY}
     for kind, wanted in (("kl", ("mean",)), ("calibration", ("nees", "coverage_95"))):
         kept[f"{kind}_by_class"] = {
             name: {each: _short(of[kind], wanted, of["submaps"]) for each, of in classes.items()}
             for name, classes in numbers["by_class"].items()
         }
     return kept
-
-
-def slam(name: str, test: Test, settings: Settings) -> dict[str, Any]:
-    """Return the graph's size and each method's errors; a mean over repetitions, None where nothing is known."""
-    sizes = {"dead_reckoning_edges": len(test.gt) - 1, "loop_closures": len(test.loop_closures)}
-    methods = {
-        str(method): _errors(rows, _rng(settings, name, str(method)))
-        for method, rows in test.slam.groupby("method", sort=False)
-    }
-    return {**sizes, **methods, "gt": {"truth_rmse_xyz_m": _gt_error(test.trajectories)}}
 
 
 def known(numbers: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,22 +195,6 @@ def _short(methods: Mapping[str, Any], wanted: Sequence[str], submaps: int) -> d
     return {name: {**{key: of[key] for key in wanted}, "submaps": submaps} for name, of in methods.items()}
 
 
-def _errors(rows: pd.DataFrame, rng: np.random.Generator) -> dict[str, Any]:
-    means = {name: float(rows[name].mean()) for name in ERRORS}  # NaN where every repetition is
-    if len(rows) < 2:
-        return means
-    draws = metrics.resamples(len(rows), rng)
-    return {**means, "rmse_xyz_ci95_m": metrics.mean_ci95(rows["rmse_xyz_m"].to_numpy(), draws)}
-
-
-def _gt_error(trajectories: pd.DataFrame) -> float | None:
-    found = {
-        which: rows.sort_values("submap")[["x_m", "y_m", "z_m"]].to_numpy()
-        for which, rows in trajectories.groupby("which")
-    }
-    return metrics.rmse(found["gt"], found["truth"]) if {"gt", "truth"} <= set(found) else None
-
-
-def _rng(settings: Settings, *names: str) -> np.random.Generator:
-    # by name, so that an interval does not change when another method or survey joins
+def rng(settings: Settings, *names: str) -> np.random.Generator:
+    """Return a generator for these names, so that an interval does not change when another method or survey joins."""
     return np.random.default_rng([settings.seed, *(zlib.crc32(name.encode()) for name in names)])

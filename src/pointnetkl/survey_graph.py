@@ -88,7 +88,11 @@ def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
     """
     edges, centroid = closures.edges, closures.levers
     T_target_source = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
-    left = np.linalg.inv(edges.measured) @ T_target_source
+    return what_is_left(np.linalg.inv(edges.measured) @ T_target_source, centroid)
+
+
+def what_is_left(left: np.ndarray, centroid: np.ndarray | None) -> np.ndarray:
+    """Return transforms (n, 4, 4) that should be the identity as errors (n, M), M = 3 with the centroids (n, 2)."""
     if centroid is None:
         return np.asarray(left[:, :2, 3])
     yaw = np.arctan2(left[:, 1, 0], left[:, 0, 0])

@@ -2,12 +2,14 @@
 
 from pointnetkl.gicp.linearised import Linearised, linearise, solve
 from pointnetkl.gicp.noise import Noise
+from pointnetkl.gicp.part import Part, part
 from pointnetkl.gicp.registration import (
     Cloud,
     GicpError,
     Registration,
     Registrations,
     Settings,
+    Source,
     prepare,
     register,
     register_noisy,
@@ -18,10 +20,13 @@ __all__ = [
     "GicpError",
     "Linearised",
     "Noise",
+    "Part",
     "Registration",
     "Registrations",
     "Settings",
+    "Source",
     "linearise",
+    "part",
     "prepare",
     "register",
     "register_noisy",

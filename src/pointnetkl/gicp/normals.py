@@ -16,15 +16,15 @@ _NEWTON_STEPS = 8
 def neighbourhoods(points: np.ndarray, lists: np.ndarray) -> np.ndarray:
     """Return the mean and scatter of each point's neighbours, (blocks, 9, 16) float32, a block for 16 points.
 
-    Points are (n, 3) in metres, their neighbours (n, k). The nine are x, y, z of the mean and xx, xy, xz, yy, yz, zz
-    of the scatter, a sum over the neighbours in m^2. What a last block lacks is zero.
+    Points are (n, 3) in metres, neighbours (n, k), or (m, k) of m of them. The nine are x, y, z of the mean and xx, xy,
+    xz, yy, yz, zz of the scatter, a sum over the neighbours in m^2. What a last block lacks is zero.
     """
     near = np.asarray(points, np.float64)[lists]
     mean = near.mean(axis=1)
     x, y, z = np.moveaxis(near - mean[:, None], 2, 0)
     products = [(a * b).sum(axis=1) for a, b in ((x, x), (x, y), (x, z), (y, y), (y, z), (z, z))]
-    table = np.zeros((-(-len(points) // LANES) * LANES, _NINE), np.float32)
-    table[: len(points)] = np.column_stack([mean, *products])
+    table = np.zeros((-(-len(lists) // LANES) * LANES, _NINE), np.float32)
+    table[: len(lists)] = np.column_stack([mean, *products])
     return np.ascontiguousarray(table.reshape(-1, LANES, _NINE).transpose(0, 2, 1))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -84,6 +85,17 @@ class Cloud:
         return matching.target(local, self.normals, self.grid)
 
 
+class Source(Protocol):
+    """What can be laid on a cloud: a cloud, or a part of one."""
+
+    @property
+    def points(self) -> np.ndarray:
+        """The points (n, 3), metres."""
+
+    def as_source(self, target: Cloud, move: np.ndarray) -> kernel.Source:
+        """Return it, moved by (3,) metres, as the kernel takes it."""
+
+
 @dataclass(frozen=True)
 class Registration:
     """Outcome of aligning one cloud with another."""
@@ -130,7 +142,7 @@ def prepare(points: np.ndarray, settings: Settings) -> Cloud:
 
 
 def register(
-    source: Cloud,
+    source: Source,
     target: Cloud,
     settings: Settings,
     start: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),

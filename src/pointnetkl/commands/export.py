@@ -1,0 +1,75 @@
+"""Command `export`: a graph of the pipeline as g2o and TUM files."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointnetkl.commands import shared
+
+_DESCRIPTION = """\
+A survey's graph, as stage `slam` optimises it with one method's covariances, as a g2o file for other programs.
+
+Vertices are submaps by their numbers, the first one held (FIX), at the poses of "GT" (navigation optimised with the
+Monte Carlo covariances); edges are dead reckoning between neighbours, as GT has it, and the loop closures of the
+graph's first draw, from the earlier submap to the later one. --corrupted N adds the yaw noise of repetition N to dead
+reckoning, and has the poses that follow from it: what the benchmark begins with.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command's words."""
+    command = shared.parser(commands, "export", "a survey's graph as g2o and TUM", _DESCRIPTION, shared.DIALECTS)
+    command.add_argument("graph", type=Path, metavar="GRAPH.npz", help="a graph of stage graph")
+    command.add_argument("--covariances", type=Path, nargs="+", required=True, metavar="TABLE", help="of that survey")
+    command.add_argument("--method", default="network", help="whose covariances (default: %(default)s)")
+    command.add_argument("--edges", choices=("all", "shared"), help="instead of slam.edges of the parameters")
+    command.add_argument("--corrupted", type=int, metavar="N", help="with the noise of this repetition, from 0")
+    command.add_argument("--dialect", choices=("g2o", "gtsam"), default="g2o", help="default: %(default)s")
+    command.add_argument("--params", type=Path, default=Path("params.yaml"), help="default: %(default)s")
+    command.add_argument("--out", type=Path, required=True, metavar="GRAPH.g2o", help="graph to write")
+    command.add_argument("--tum", type=Path, metavar="FILE", help="trajectory to write, of the same poses")
+    command.add_argument("--poses", type=Path, metavar="TABLE", help="of stage segment, for the trajectory's times")
+    command.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the files and print what is in them."""
+    # some seconds, which --help need not take
+    from pointnetkl import artifacts, g2o, graph_exchange, pose_graph, settings, slam, survey_graph, tum
+
+    how = settings.read(arguments.params, "slam", slam.Settings)
+    survey = survey_graph.from_arrays(artifacts.read_arrays(arguments.graph)[0])
+    q = shared.covariances(arguments.covariances, arguments.method, how.floor_m2)
+    poses, dead_reckoning = survey.gt, pose_graph.between(survey.gt)
+    if arguments.corrupted is not None:
+        if arguments.corrupted < 0:
+            raise shared.CommandError(f"--corrupted is {arguments.corrupted}, must be 0 or above")
+        dead_reckoning = slam.corrupt(survey, 0, arguments.corrupted, how)
+        poses = pose_graph.chain(survey.gt[0], dead_reckoning)
+    weight = slam.weights(survey.closures.registration, arguments.edges or how.edges)
+    origin = f"{survey.survey}, {arguments.method}"
+    q_edges = survey_graph.edge_covariances(survey.number, q, survey.closures, origin) * weight[:, None, None]
+    full = pose_graph.closure_covariances(q_edges, survey.closure_noise, survey.closures.levers)
+    noise, closures = survey.dead_reckoning_noise, survey.closures.edges
+    graph = graph_exchange.join(survey.number, poses, dead_reckoning, noise, closures, full)
+    g2o.write(arguments.out, graph, arguments.dialect)
+    if arguments.tum:
+        times, says = _times(arguments.poses, survey.number)
+        tum.write(arguments.tum, times, poses, says)
+    counts = f"{len(dead_reckoning)} edges of dead reckoning, {len(full)} loop closures"
+    print(f"{survey.survey}: {len(poses)} submaps, {counts}")
+    return 0
+
+
+def _times(path: Path | None, number: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return each submap's time (n,), and what it is: seconds where a table of poses has them, else its number."""
+    from pointnetkl import artifacts, submap
+
+    if path is None:
+        return number.astype(np.float64), "a submap's number stands for its time"
+    time_s = artifacts.read_table(path, submap.POSES).set_index("submap")["time_s"]
+    if missing := [n for n in number.tolist() if n not in time_s.index]:
+        raise shared.CommandError(f"{path}: has no submap {missing[0]}; give the poses of the graph's survey")
+    return time_s.loc[number].to_numpy(np.float64), "seconds"

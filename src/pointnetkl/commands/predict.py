@@ -1,0 +1,73 @@
+"""Command `predict`: what a trained model says of submaps in files."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pointnetkl.commands import shared
+from pointnetkl.errors import PointNetKLError
+
+_DESCRIPTION = """\
+Covariance of the registration (GICP) of each submap, by a trained model.
+
+A file holds one submap of bathymetry, metres, z up, thinned as those that the model was trained on:
+  PCD   ascii, binary or compressed; VIEWPOINT is not applied
+  PLY   ascii or binary; the vertices
+  NPZ   an array `points` (n, 3)
+  text  x, y, z in the first three columns, between commas or blanks; # and // begin comments
+Files are known by their content, whatever their name. Q has the axes of the file's own frame.
+"""
+_EPILOG = """\
+columns: points; major_m and minor_m, standard deviations along the axes of Q's ellipse; angle_deg, of the major axis
+from x towards y; Q's entries, in m^2 (and m rad, rad^2 for a model with yaw); novelty, the distance to the training
+submaps, 1 at the limit; far, whether it is beyond: the covariance is then a guess (- where the model does not say).
+
+A file that cannot be used is named on stderr; the others are printed, and the exit status is 1.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command's words."""
+    command = shared.parser(commands, "predict", "the covariance of submaps in files", _DESCRIPTION, _EPILOG)
+    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, as models/network.pt")
+    command.add_argument("submaps", type=Path, nargs="+", metavar="SUBMAP", help="files of one submap each")
+    command.add_argument("--json", action="store_true", help="a JSON list with an object for each file")
+    command.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print a row for each file; return 1 if one of them could not be used."""
+    # some seconds, which --help need not take
+    from pointnetkl import cloud_files, estimator
+
+    model = estimator.CovarianceEstimator.load(arguments.model)
+    rows = []
+    for path in arguments.submaps:
+        try:
+            points = cloud_files.read(path)
+            rows.append({"file": str(path), "points": len(points), **_numbers(model.judge(points))})
+        except PointNetKLError as error:
+            sentence = str(error) if str(path) in str(error) else f"{path}: {error}"
+            print(f"error: {sentence}", file=sys.stderr)
+    print(json.dumps(rows, indent=2) if arguments.json else shared.in_columns(rows))
+    return int(len(rows) < len(arguments.submaps))
+
+
+def _numbers(prediction: Any) -> dict[str, Any]:
+    """Return a prediction as a row's numbers."""
+    from pointnetkl.covariance import table
+
+    q = prediction.covariance
+    major, minor, angle = shared.ellipse(q[:2, :2])
+    entries = {name: float(value) for name, value in table.to_columns(q).items()}
+    far = None if prediction.novelty is None else prediction.is_novel
+    return {
+        "major_m": major,
+        "minor_m": minor,
+        "angle_deg": angle,
+        **entries,
+        "novelty": prediction.novelty,
+        "far": far,
+    }
