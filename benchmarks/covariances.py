@@ -21,10 +21,8 @@ from pointnetkl import (
     metrics,
     model,
     model_file,
-    results,
     settings,
     simulation,
-    summary,
     terrain,
     text_table,
     training,
@@ -33,7 +31,8 @@ from pointnetkl import study as studies
 from pointnetkl.covariance import table
 from pointnetkl.dataset import Samples
 from pointnetkl.model_file import Stored
-from pointnetkl.summary import Judged
+from pointnetkl.reporting import results, summary
+from pointnetkl.reporting.summary import Judged
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -5,19 +5,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import (
-    artifacts,
-    closure_errors,
-    closure_overlap,
-    command,
-    gicp,
-    loop_closure,
-    monte_carlo,
-    settings,
-    submap,
-    survey_graph,
-)
+from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
 from pointnetkl.covariance import table, trained
+from pointnetkl.slam import closure_errors, closure_overlap, loop_closure, survey_graph
 
 
 def main(arguments: argparse.Namespace) -> None:

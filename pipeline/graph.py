@@ -5,18 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import (
-    artifacts,
-    command,
-    gicp,
-    graph_construction,
-    loop_closure,
-    monte_carlo,
-    settings,
-    submap,
-    survey,
-    survey_graph,
-)
+from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap, survey
+from pointnetkl.slam import graph_construction, loop_closure, survey_graph
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, report, settings, simulation, study, summary
-from pointnetkl.results import Folders
+from pointnetkl import artifacts, command, settings, simulation, study
+from pointnetkl.reporting import report, summary
+from pointnetkl.reporting.results import Folders
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -6,42 +6,33 @@ from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import (
-    artifacts,
-    command,
-    consistency_map,
-    map_frame,
-    map_thinning,
-    settings,
-    slam,
-    slam_benchmark,
-    submap,
-    survey_graph,
-)
+from pointnetkl import artifacts, command, settings, submap
+from pointnetkl.consistency import consistency_map, map_frame, map_thinning
+from pointnetkl.consistency.map_to_map import MapToMap
+from pointnetkl.consistency.map_to_map_auvlib import MapToMapAuvlib
 from pointnetkl.covariance import table
-from pointnetkl.map_to_map import MapToMap
-from pointnetkl.map_to_map_auvlib import MapToMapAuvlib
+from pointnetkl.slam import protocol, slam_benchmark, survey_graph
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and the covariances; write every run's errors, trajectories, and maps of the first."""
     name = arguments.survey
-    chosen = settings.read(arguments.params, "slam", slam.Settings)
+    chosen = settings.read(arguments.params, "slam", protocol.Settings)
     arrays, made_with = artifacts.read_arrays(arguments.graph)
     graph = survey_graph.from_arrays(arrays)
     paths = (arguments.estimated, arguments.predicted, arguments.measured)
     tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
-    methods = slam.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2)
+    methods = protocol.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = slam.clouds_of(graph, {s.number: s.points for s in submaps})
+    clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
     measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
     map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
     rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)
     for sentence in slam_benchmark.unsolved(rows):
         print(sentence, file=sys.stderr)
     metadata = {"survey": name, "slam": settings.as_metadata(chosen), "graph": made_with}
-    artifacts.write_table(arguments.rows, rows, slam.ROWS, metadata)
-    artifacts.write_table(arguments.trajectories, trajectories, slam.TRAJECTORIES, metadata)
+    artifacts.write_table(arguments.rows, rows, protocol.ROWS, metadata)
+    artifacts.write_table(arguments.trajectories, trajectories, protocol.TRAJECTORIES, metadata)
     frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)
     cells = consistency_map.of_trajectories(trajectories, measure.cells)
     consistency_map.write(arguments.consistency, cells, frame, metadata)

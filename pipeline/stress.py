@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, command, false_closures, loop_gate, settings, slam, stress, submap, survey_graph
+from pointnetkl import artifacts, command, settings, submap
 from pointnetkl.covariance import table
+from pointnetkl.slam import false_closures, loop_gate, protocol, stress, survey_graph
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -18,9 +19,9 @@ def main(arguments: argparse.Namespace) -> None:
     graph = survey_graph.from_arrays(arrays)
     paths = (arguments.estimated, arguments.predicted)
     tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
-    methods = stress.chosen(slam.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2), chosen, name)
+    methods = stress.chosen(protocol.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = slam.clouds_of(graph, {s.number: s.points for s in submaps})
+    clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
     known = bool(np.isfinite(graph.truth).all())
     cell = made_with["graph"]["cell_factor"] * made_with["spacing_m"]
     apart = false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if known else graph.gt, cell))

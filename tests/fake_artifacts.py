@@ -8,23 +8,11 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from pointnetkl import (
-    artifacts,
-    closure_errors,
-    consistency_map,
-    loop_gate,
-    map_thinning,
-    monte_carlo,
-    pose,
-    sensitivity,
-    slam,
-    stress,
-    submap,
-    survey,
-    voxel,
-)
+from pointnetkl import artifacts, monte_carlo, pose, sensitivity, submap, survey, voxel
+from pointnetkl.consistency import consistency_map, map_thinning
+from pointnetkl.consistency.map_cells import Cells
 from pointnetkl.covariance import table
-from pointnetkl.map_cells import Cells
+from pointnetkl.slam import closure_errors, loop_gate, protocol, stress
 
 LENGTH_M, SPACING_M, LINES, ALONG = 60.0, 4.0, 3, 6
 TRAIN, TEST = ("baltic", "borno_1"), ("borno_8", "mine")
@@ -32,7 +20,7 @@ MODELS = ("pointnetkl", "network")
 METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", *MODELS)
 CRS = "EPSG:32632"
 REPETITIONS, DRAWS, HELD_OUT = 4, 3, 40
-TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of slam.ROWS, that figures need
+TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of protocol.ROWS, that figures need
 _WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
 
@@ -252,9 +240,11 @@ def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
             rows.append({"survey": fake.name, **run, **measures})
         drift = np.column_stack([np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))])
         trajectories.append(_trajectory(fake, method, gt[:, :3, 3] + drift))
-    table_ = pd.DataFrame(rows).reindex(columns=slam.ROWS.names)
-    artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam.ROWS, {})
-    artifacts.write_table(folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam.TRAJECTORIES, {})
+    table_ = pd.DataFrame(rows).reindex(columns=protocol.ROWS.names)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, protocol.ROWS, {})
+    artifacts.write_table(
+        folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), protocol.TRAJECTORIES, {}
+    )
     _write_maps(folder, fake, [rows["which"].iloc[0] for rows in trajectories], rng)
 
 
@@ -295,7 +285,7 @@ def _runs(method: str) -> list[tuple[str, int, int]]:
         return [("table", 0, 0)]
     table_ = [("table", draw, i) for draw in range(DRAWS) for i in range(REPETITIONS if draw == 0 else 2)]
     shared = [("shared", draw, i) for draw in range(DRAWS) for i in range(2)]
-    return [*table_, *shared, *(("authors", draw, i) for _, draw, i in table_)] if method in slam.FEW else table_
+    return [*table_, *shared, *(("authors", draw, i) for _, draw, i in table_)] if method in protocol.FEW else table_
 
 
 def _trajectory(fake: Fake, which: str, xyz: np.ndarray) -> pd.DataFrame:

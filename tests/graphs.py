@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pointnetkl.g2o import Graph
-from pointnetkl.pose_graph import Edges
+from pointnetkl.exchange.g2o import Graph
+from pointnetkl.slam.pose_graph import Edges
 
 
 def poses(count: int, rng: np.random.Generator, size_m: float = 1e3) -> np.ndarray:

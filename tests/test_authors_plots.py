@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointnetkl import authors_plots
+from pointnetkl.reporting import authors_plots
 
 Q = authors_plots.ANTARCTIC
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointnetkl import authors_slam, pose_graph
+from pointnetkl.slam import authors_slam, pose_graph
 from toy_survey import CLOSURE, graph
 
 BLOCK = np.array([[3.35, -3.13], [-3.13, 5.45]])  # one of the authors' Antarctic loop closures, m^2

@@ -10,20 +10,10 @@ import pandas as pd
 import pytest
 import yaml
 
-from pointnetkl import (
-    artifacts,
-    closure_errors,
-    closure_terrain,
-    gicp,
-    loop_closure,
-    monte_carlo,
-    pose,
-    settings,
-    submap,
-    survey_graph,
-)
+from pointnetkl import artifacts, gicp, model_file, monte_carlo, network, pose, settings, submap
 from pointnetkl.covariance import table
-from pointnetkl.survey_graph import SurveyGraph
+from pointnetkl.slam import closure_errors, closure_terrain, loop_closure, survey_graph
+from pointnetkl.slam.survey_graph import SurveyGraph
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph
 
 ROOT = Path(__file__).parents[1]
@@ -190,7 +180,9 @@ def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: 
     parameters = {name: settings.as_metadata(values) for name, values in sections.items()}
     (folder / "params.yaml").write_text(yaml.safe_dump(parameters))
     command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]
-    command += ["--graph", "graph.npz", "--submaps", "submaps.parquet"]
+    chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
+    (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(chosen), 0.01, {}))
+    command += ["--graph", "graph.npz", "--submaps", "submaps.parquet", "--model", "mine.pt"]
     return [*command, "--closures", "out/toy.parquet", "--covariances", "out/toy_covariances.parquet"]
 
 
@@ -199,7 +191,7 @@ def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGrap
     rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_errors.CLOSURES)
     found = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
     assert len(rows) == sum(len(each.node) for each in toy[1].draws)
-    assert set(found["method"]) == {"split", "pair"}
+    assert set(found["method"]) == {"split", "pair", "mine_overlap"}
 
 
 def test_submaps_of_another_graph_are_refused_in_one_sentence(

@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import calibration_plots, closure_errors, closure_story, closure_tables, closures
-from pointnetkl.closures import Closures
-from pointnetkl.summary import GOLD
+from pointnetkl.reporting import calibration_plots, closure_story, closure_tables, closures
+from pointnetkl.reporting.closures import Closures
+from pointnetkl.reporting.summary import GOLD
+from pointnetkl.slam import closure_errors
 
 SUBMAPS, DRAWS = 60, 60
 DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import class_tables, metrics, summary, terrain
+from pointnetkl import metrics, terrain
 from pointnetkl.covariance import table
+from pointnetkl.reporting import class_tables, summary
 
 SETTINGS = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DATASETS = {"a": {"simulated": True}}

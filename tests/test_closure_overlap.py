@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from pointnetkl import closure_overlap, pose
+from pointnetkl import pose
 from pointnetkl.covariance import table
+from pointnetkl.slam import closure_overlap
 from pointnetkl.submap import Submap
 from toy_survey import REGISTRATION, SPACING, SWATH, graph
 

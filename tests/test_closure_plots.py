@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pointnetkl import closure_plots, plots
-from pointnetkl.closure_plots import Closures
+from pointnetkl.reporting import closure_plots, plots
+from pointnetkl.reporting.closure_plots import Closures
 
 ALONG = np.array([[9.0, 0.0], [0.0, 0.01]])  # not known along the track
 SEABED = np.tile(np.linspace(50, 60, 20), (20, 1)), (0.0, 1000.0, 0.0, 1000.0)

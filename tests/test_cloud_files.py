@@ -7,8 +7,8 @@ import open3d
 import pytest
 
 from conftest import REALDATA
-from pointnetkl import cloud_files
-from pointnetkl.cloud_files import CloudFileError
+from pointnetkl.exchange import cloud_files
+from pointnetkl.exchange.cloud_files import CloudFileError
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).round(4) * [40, 40, 2]
 COLOURED = np.dtype([("normal", "<f4", 3), ("x", "<f8"), ("y", "<f8"), ("rgb", "<u4"), ("z", "<f8")])

@@ -9,24 +9,14 @@ from scipy.spatial import cKDTree
 import toy_survey
 from conftest import REALDATA
 from pointnetkl import __main__ as command
-from pointnetkl import (
-    artifacts,
-    cloud_files,
-    g2o,
-    pose,
-    pose_graph,
-    posed_submaps,
-    quaternion,
-    slam,
-    submap,
-    survey_graph,
-    tum,
-)
+from pointnetkl import artifacts, pose, submap
 from pointnetkl import settings as parameters
-from pointnetkl.cloud_files import CloudFileError
 from pointnetkl.commands import NAMES
 from pointnetkl.covariance import table
-from pointnetkl.posed_submaps import PosedSubmapsError
+from pointnetkl.exchange import cloud_files, g2o, posed_submaps, quaternion, tum
+from pointnetkl.exchange.cloud_files import CloudFileError
+from pointnetkl.exchange.posed_submaps import PosedSubmapsError
+from pointnetkl.slam import pose_graph, protocol, survey_graph
 from test_estimator import written
 from test_graph_solver import meshed
 
@@ -76,10 +66,10 @@ def test_an_exported_graph_solves_to_what_the_benchmark_finds(
     assert (status, f"dialect {dialect}\n" in out) == (0, True)
 
     graph = survey_graph.from_arrays(artifacts.read_arrays(survey / "graph.npz")[0])
-    how = parameters.read(PARAMS, "slam", slam.Settings)
-    weight = slam.weights(graph.closures.registration, "shared")[:, None, None]
+    how = parameters.read(PARAMS, "slam", protocol.Settings)
+    weight = protocol.weights(graph.closures.registration, "shared")[:, None, None]
     full = pose_graph.closure_covariances((Q + how.floor_m2 * np.eye(2)) * weight, graph.closure_noise)
-    dead_reckoning = slam.corrupt(graph, 0, 2, how)
+    dead_reckoning = protocol.corrupt(graph, 0, 2, how)
     start = pose_graph.chain(graph.gt[0], dead_reckoning)
     factors = pose_graph.PoseGraph(graph.gt[0], graph.closures.edges, full)
     expected = factors.optimise(dead_reckoning, graph.dead_reckoning_noise, start)

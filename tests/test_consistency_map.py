@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 import rasterio
 
-from pointnetkl import artifacts, consistency_map, map_frame, map_to_map, pose, slam, survey
-from pointnetkl.consistency_map import Frame
-from pointnetkl.map_cells import Cells
+from pointnetkl import artifacts, pose, survey
+from pointnetkl.consistency import consistency_map, map_frame, map_to_map
+from pointnetkl.consistency.consistency_map import Frame
+from pointnetkl.consistency.map_cells import Cells
+from pointnetkl.slam import protocol
 
 FRAME = Frame((650_000.0, 6_450_000.0), "EPSG:32632", 15.0)
 GT = Cells(np.array([-2, 3]), np.array([1, -4]), np.array([0.5, 2.5]))
@@ -100,7 +102,7 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
     xyz, yaw = rng.uniform(0, 30, (3, 3)), rng.uniform(-3, 3, 3)
     columns = dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True))
     rows = pd.DataFrame({"survey": "mine", "which": "gt", "submap": range(3), **columns, "yaw_rad": yaw})
-    shuffled = rows.iloc[[2, 0, 1]][slam.TRAJECTORIES.names]
+    shuffled = rows.iloc[[2, 0, 1]][protocol.TRAJECTORIES.names]
     measure = map_to_map.MapToMap(clouds, 15.0, 2)
     found = consistency_map.of_trajectories(shuffled, measure.cells)
     expected = measure.cells(np.array([pose.matrix(p, a) for p, a in zip(xyz, yaw, strict=True)]))

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from pointnetkl import consistency_plots, plots
-from pointnetkl.consistency_map import Rasters
+from pointnetkl.consistency.consistency_map import Rasters
+from pointnetkl.reporting import consistency_plots, plots
 
 RNG = np.random.default_rng(0)
 EXTENT = (1000.0, 1300.0, 50.0, 200.0)

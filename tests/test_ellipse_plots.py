@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import cases, ellipse_plots, plots, relief, results
+from pointnetkl.reporting import cases, ellipse_plots, plots, relief, results
 
 RNG = np.random.default_rng(0)
 GRID = np.mgrid[-20:20:1.5, -50:50:1.5].reshape(2, -1).T + RNG.uniform(0, 1, (27 * 67, 2))
@@ -22,7 +22,7 @@ def survey(name: str, q: np.ndarray, methods: dict[str, np.ndarray]) -> cases.Su
     k = len(q)
     labels = results.Labels(100 + np.arange(k), q, np.full(k, 1.5), np.zeros(k, bool), pd.DataFrame(), {})
     nothing = np.empty((0, 2))
-    test = results.Test(methods, np.empty((k, 0, 2)), pd.DataFrame(), pd.DataFrame(), nothing, nothing, 0)
+    test = results.Test(methods, np.empty((k, 0, 2)), pd.DataFrame(), pd.DataFrame(), nothing, nothing, nothing, nothing)
     return cases.Survey(name, [cloud(0.1 * i) for i in range(k)], labels, test, 0.01)
 
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 import graphs
 import toy_survey
-from pointnetkl import g2o, graph_exchange, pose_graph
-from pointnetkl.g2o import G2oError, Graph
+from pointnetkl.exchange import g2o, graph_exchange
+from pointnetkl.exchange.g2o import G2oError, Graph
+from pointnetkl.slam import pose_graph
 
 SEEDS = st.integers(0, 2**32 - 1)
 VERTICES = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n"

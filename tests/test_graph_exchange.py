@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import graphs
-from pointnetkl import g2o, graph_exchange, graph_solver, pose_graph
-from pointnetkl.graph_exchange import GraphExchangeError
-from pointnetkl.pose_graph import Edges
+from pointnetkl.exchange import g2o, graph_exchange, graph_solver
+from pointnetkl.exchange.graph_exchange import GraphExchangeError
+from pointnetkl.slam import pose_graph
+from pointnetkl.slam.pose_graph import Edges
 from test_pose_graph import CROSSING, LONG_X, closure
 from toy_survey import CLOSURE, DEAD_RECKONING
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import graphs
-from pointnetkl import g2o, graph_exchange, graph_solver, pose, pose_graph, robust, settings
+from pointnetkl import pose, settings
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.graph_solver import GraphSolverError
-from pointnetkl.pose_graph import Edges
+from pointnetkl.exchange import g2o, graph_exchange, graph_solver
+from pointnetkl.exchange.graph_solver import GraphSolverError
+from pointnetkl.slam import pose_graph, robust
+from pointnetkl.slam.pose_graph import Edges
 from test_graph_exchange import NONE, crossing, moved
 from test_pose_graph import CROSSING, closure
 from toy_survey import CLOSURE, DEAD_RECKONING

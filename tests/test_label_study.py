@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import label_study, label_summary, label_tables
+from pointnetkl import label_summary
 from pointnetkl.covariance import gaussian
+from pointnetkl.reporting import label_study, label_tables
 
 Q = np.array([[4.0, 1.0], [1.0, 0.5]])
 DATASETS = {"borno_8": {"simulated": True}}

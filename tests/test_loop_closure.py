@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import footprint, graph_construction, loop_closure, pose, survey_graph
-from pointnetkl.survey_graph import Closures
+from pointnetkl import footprint, pose
+from pointnetkl.slam import graph_construction, loop_closure, survey_graph
+from pointnetkl.slam.survey_graph import Closures
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")

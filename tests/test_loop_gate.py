@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pandas as pd
 
-from pointnetkl import footprint, loop_gate, pose, survey_graph
+from pointnetkl import footprint, pose
+from pointnetkl.slam import loop_gate, survey_graph
 from toy_survey import SETTINGS, SPACING, graph
 
 SUBMAPS, GRAPH = graph(3, 4)

@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import map_tables, map_thinning, map_to_map, pose
+from pointnetkl import pose
+from pointnetkl.consistency import map_thinning, map_to_map
+from pointnetkl.reporting import map_tables
 
 RNG = np.random.default_rng(3)
 CLOUDS = [np.column_stack([RNG.uniform(0, 60, (3000, 2)), RNG.normal(0, 0.1, 3000)]) for _ in range(2)]

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import cKDTree
 
-from pointnetkl import footprint, map_kernel, map_to_map, pose
+from pointnetkl import footprint, pose
+from pointnetkl.consistency import map_kernel, map_to_map
 
 RNG = np.random.default_rng(0)
 CLOUD = np.column_stack([RNG.uniform(0, 40, (800, 2)), RNG.normal(0, 0.5, 800)])

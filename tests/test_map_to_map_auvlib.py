@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pointnetkl import map_to_map, map_to_map_auvlib, pose
-from pointnetkl.map_to_map_auvlib import MapToMapAuvlib
+from pointnetkl import pose
+from pointnetkl.consistency import map_to_map, map_to_map_auvlib
+from pointnetkl.consistency.map_to_map_auvlib import MapToMapAuvlib
 
 RNG = np.random.default_rng(0)
 SIZE_M = 100.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from pointnetkl import families, method_plots, pareto_plots, plots
+from pointnetkl.reporting import families, method_plots, pareto_plots, plots
 
 METHODS = (
     *("monte_carlo", "constant", "naive_gicp", "naive_meancov", "hessian", "censi", "unscented"),

@@ -9,7 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pointnetkl import figures, label_plots, maps, method_plots, paper, pareto_plots, plots
+from pointnetkl import paper
+from pointnetkl.reporting import figures, label_plots, maps, method_plots, pareto_plots, plots
 
 KL = pd.DataFrame(
     {

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from pointnetkl import pose, pose_graph
-from pointnetkl.pose_graph import Edges, PoseGraph
+from pointnetkl import pose
+from pointnetkl.slam import pose_graph
+from pointnetkl.slam.pose_graph import Edges, PoseGraph
 from toy_survey import CLOSURE, DEAD_RECKONING
 
 # A first line east; a second one crosses it northwards: its submap's x is the map's y.

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pointnetkl import metrics, plots, reliability_plots
+from pointnetkl import metrics
+from pointnetkl.reporting import plots, reliability_plots
 
 Q = np.array([[[4.0, 1.5, 0.01], [1.5, 1.0, 0.0], [0.01, 0.0, 0.001]]]).repeat(5, axis=0)
 ERRORS = np.random.default_rng(0).multivariate_normal(np.zeros(3), Q[0], (5, 4000))

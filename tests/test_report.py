@@ -14,22 +14,9 @@ import pytest
 import yaml
 
 import fake_artifacts
-from pointnetkl import (
-    artifacts,
-    class_tables,
-    label_study,
-    metrics,
-    monte_carlo,
-    report,
-    results,
-    sensitivity,
-    settings,
-    simulation,
-    slam,
-    study,
-    summary,
-    terrain,
-)
+from pointnetkl import artifacts, metrics, monte_carlo, sensitivity, settings, simulation, study, terrain
+from pointnetkl.reporting import class_tables, label_study, report, results, summary
+from pointnetkl.slam import protocol
 
 UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
 
@@ -282,5 +269,5 @@ def test_what_is_read_of_a_table_is_what_its_stage_writes():
     assert set(results.LABELS.names) <= set(monte_carlo.LABELS.names)
     assert set(results.VARIATIONS.names) <= set(sensitivity.VARIATIONS.names)
     assert (label_study.RUNS, label_study.CONDITIONS) == (sensitivity.RUNS, sensitivity.CONDITIONS)
-    assert set(results.SLAM.names) <= set(slam.ROWS.names)
-    assert set(results.TRAJECTORIES.names) <= set(slam.TRAJECTORIES.names)
+    assert set(results.SLAM.names) <= set(protocol.ROWS.names)
+    assert set(results.TRAJECTORIES.names) <= set(protocol.TRAJECTORIES.names)

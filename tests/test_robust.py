@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pointnetkl import metrics, pose, pose_graph, robust
-from pointnetkl.pose_graph import Edges
+from pointnetkl import metrics, pose
+from pointnetkl.slam import pose_graph, robust
+from pointnetkl.slam.pose_graph import Edges
 from toy_survey import CLOSURE, DEAD_RECKONING
 
 THRESHOLDS = robust.Thresholds(1.345, 1.0, 1.0, 0.99, 2.0)

@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 import fake_artifacts
-from pointnetkl import plots, robustness, robustness_plots, robustness_story, text_table
-from pointnetkl.results import Folders
+from pointnetkl import text_table
+from pointnetkl.reporting import plots, robustness, robustness_plots, robustness_story
+from pointnetkl.reporting.results import Folders
 
 DATASETS = {"borno_8": {"simulated": True}, "mine": {"simulated": False}}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointnetkl import sheet
+from pointnetkl.reporting import sheet
 
 
 def test_a_map_is_as_high_as_it_is_wide_times_its_proportions():

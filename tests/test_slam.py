@@ -6,25 +6,25 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import pose_graph, slam
 from pointnetkl.covariance import gaussian, table
+from pointnetkl.slam import pose_graph, protocol
 from toy_survey import graph
 
-SETTINGS = slam.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
+SETTINGS = protocol.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
 
 
 def test_noise_is_new_in_each_draw_and_repetition_and_the_same_in_each_run():
-    one = slam.corrupt(GRAPH, 0, 1, SETTINGS)
-    assert (one == slam.corrupt(GRAPH, 0, 1, SETTINGS)).all()
-    others = [slam.corrupt(GRAPH, draw, repetition, SETTINGS) for draw, repetition in ((0, 0), (1, 0), (1, 1))]
-    others.append(slam.corrupt(dataclasses.replace(GRAPH, survey="other"), 0, 1, SETTINGS))
+    one = protocol.corrupt(GRAPH, 0, 1, SETTINGS)
+    assert (one == protocol.corrupt(GRAPH, 0, 1, SETTINGS)).all()
+    others = [protocol.corrupt(GRAPH, draw, repetition, SETTINGS) for draw, repetition in ((0, 0), (1, 0), (1, 1))]
+    others.append(protocol.corrupt(dataclasses.replace(GRAPH, survey="other"), 0, 1, SETTINGS))
     every = np.array([one, *others])
     assert len(np.unique(every[:, 0, 0, 1])) == len(every)
 
 
 def test_only_the_yaw_of_dead_reckoning_is_corrupted():
-    exact, noisy = pose_graph.between(GRAPH.gt), slam.corrupt(GRAPH, 0, 0, SETTINGS)
+    exact, noisy = pose_graph.between(GRAPH.gt), protocol.corrupt(GRAPH, 0, 0, SETTINGS)
     assert noisy[:, :3, 3] == pytest.approx(exact[:, :3, 3])
     turn = np.linalg.inv(exact) @ noisy
     assert turn[:, 2, :3] == pytest.approx(np.tile([0.0, 0.0, 1.0], (len(turn), 1)), abs=1e-9)
@@ -33,11 +33,11 @@ def test_only_the_yaw_of_dead_reckoning_is_corrupted():
 
 def test_a_registration_shared_by_its_edges_counts_once():
     registration = np.array([0, 1, 1, 2, 2, 2])
-    assert slam.weights(registration, "all").tolist() == [1] * 6
-    assert slam.weights(registration, "shared").tolist() == [1, 2, 2, 3, 3, 3]
+    assert protocol.weights(registration, "all").tolist() == [1] * 6
+    assert protocol.weights(registration, "shared").tolist() == [1, 2, 2, 3, 3, 3]
     # the information of its edges then adds up to that of one Q
-    assert np.bincount(registration, 1 / slam.weights(registration, "shared")).tolist() == pytest.approx([1, 1, 1])
-    assert slam.weights(registration[:0], "shared").shape == (0,)
+    assert np.bincount(registration, 1 / protocol.weights(registration, "shared")).tolist() == pytest.approx([1, 1, 1])
+    assert protocol.weights(registration[:0], "shared").shape == (0,)
 
 
 @pytest.mark.parametrize("bad", [[[1.0, 2.0], [2.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]]])
@@ -45,41 +45,41 @@ def test_what_is_not_a_covariance_never_reaches_the_optimiser(bad: list[list[flo
     rows = table.from_matrices("toy", "m", [0, 1], np.array([np.eye(2), np.eye(2)]))
     rows.loc[1, ["q_xx_m2", "q_xy_m2", "q_yy_m2"]] = [bad[0][0], bad[0][1], bad[1][1]]
     with pytest.raises(gaussian.CovarianceError, match="submap 1, m"):
-        slam.by_method(rows)
+        protocol.by_method(rows)
 
 
 def test_two_covariances_of_one_name_for_one_submap_are_refused():
     rows = table.from_matrices("toy", "m", [0], np.eye(2)[None])
-    with pytest.raises(slam.SlamError, match="two covariances for submap 0"):
-        slam.by_method(pd.concat([rows, rows]))
+    with pytest.raises(protocol.SlamError, match="two covariances for submap 0"):
+        protocol.by_method(pd.concat([rows, rows]))
 
 
 def test_clouds_follow_the_nodes_and_a_missing_one_is_named():
     clouds = {s.number: s.points for s in SUBMAPS}
-    assert slam.clouds_of(GRAPH, clouds)[5] is SUBMAPS[5].points
+    assert protocol.clouds_of(GRAPH, clouds)[5] is SUBMAPS[5].points
     del clouds[5]
-    with pytest.raises(slam.SlamError, match="submap 5"):
-        slam.clouds_of(GRAPH, clouds)
+    with pytest.raises(protocol.SlamError, match="submap 5"):
+        protocol.clouds_of(GRAPH, clouds)
 
 
 def test_a_floor_stands_below_every_variance():
     rows = table.from_matrices("toy", "sure", [0, 1], np.array([1e-13 * np.eye(2), np.eye(2)]))
-    found = slam.by_method(rows, 1e-6)["sure"]
+    found = protocol.by_method(rows, 1e-6)["sure"]
     assert np.linalg.eigvalsh(found[0]) == pytest.approx([1e-6, 1e-6])
     assert found[1] == pytest.approx(np.eye(2), abs=1e-5)
 
 
 def test_the_variants_are_of_a_few_methods_and_the_table_of_all():
-    of = {each.name: each for each in slam.variants(["odd", "constant", "network"], SETTINGS)}
+    of = {each.name: each for each in protocol.variants(["odd", "constant", "network"], SETTINGS)}
     assert of["table"].methods == ["odd", "constant", "network"]
     assert of["shared"].methods == of["authors"].methods == ["constant", "network"]
     assert (of["table"].edges, of["shared"].edges, of["authors"].edges) == ("all", "shared", "all")
     shared = dataclasses.replace(SETTINGS, edges="shared")
-    assert [each.name for each in slam.variants(["network"], shared)] == ["table", "all", "authors"]
+    assert [each.name for each in protocol.variants(["network"], shared)] == ["table", "all", "authors"]
 
 
 def test_only_the_first_draw_has_the_paper_s_many_noises():
-    for each in slam.variants(["network"], SETTINGS):
+    for each in protocol.variants(["network"], SETTINGS):
         assert each.repetitions(1, SETTINGS) == 2
         assert each.repetitions(0, SETTINGS) == (2 if each.name == "shared" else 4)
 

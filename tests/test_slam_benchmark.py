@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import metrics, pose_graph, slam, slam_benchmark, survey_graph
+from pointnetkl import metrics
+from pointnetkl.slam import pose_graph, protocol, slam_benchmark, survey_graph
 from toy_survey import REGISTRATION, graph
 
-SETTINGS = slam.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
+SETTINGS = protocol.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
 GOOD = {s.number: 0.01 * np.eye(2) for s in SUBMAPS}
 METHODS = {"network": GOOD, "again": GOOD, "useless": {n: 1e8 * q for n, q in GOOD.items()}}
@@ -22,7 +23,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def benchmark(
-    made: survey_graph.SurveyGraph = GRAPH, settings: slam.Settings = SETTINGS, methods: slam.Methods = METHODS
+    made: survey_graph.SurveyGraph = GRAPH, settings: protocol.Settings = SETTINGS, methods: protocol.Methods = METHODS
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return rows and trajectories, with a map error of 1 m."""
     return slam_benchmark.benchmark(made, methods, {"map_to_map_m": lambda poses: 1.0}, settings)
@@ -90,7 +91,7 @@ def test_trajectories_of_the_first_repetition_are_kept():
     _, trajectories = benchmark()
     assert trajectories["which"].unique().tolist() == ["truth", "gt", "navigation", "corrupted", *METHODS]
     assert (trajectories.groupby("which").size() == len(SUBMAPS)).all()
-    assert list(trajectories.columns) == slam.TRAJECTORIES.names
+    assert list(trajectories.columns) == protocol.TRAJECTORIES.names
 
 
 def test_a_survey_without_truth_or_closures_still_has_rows():
@@ -99,7 +100,7 @@ def test_a_survey_without_truth_or_closures_still_has_rows():
     assert rows["truth_rmse_xyz_m"].isna().all()
     assert errors(rows, "network") == pytest.approx(errors(rows, "corrupted"), abs=1e-6)
     assert "truth" not in set(trajectories["which"])
-    assert list(rows.columns) == slam.ROWS.names
+    assert list(rows.columns) == protocol.ROWS.names
 
 
 def test_shared_edges_are_trusted_less():

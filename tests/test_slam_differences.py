@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import method_plots, plots, slam_differences
+from pointnetkl.reporting import method_plots, plots, slam_differences
 
 OFF = {"network": 0.0, "constant": 0.5, "censi": 40.0, "hessian": 0.1, "cello": 0.2, "mean_field": 0.3}
 

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pointnetkl import pose, slam_errors
+from pointnetkl import pose
+from pointnetkl.slam import slam_errors
 from toy_survey import graph
 
 _, GRAPH = graph(3, 4)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pointnetkl import plots, slam_maps
-from pointnetkl.slam_maps import Seabed
+from pointnetkl.reporting import plots, slam_maps
+from pointnetkl.reporting.slam_maps import Seabed
 
 
 def seabed(**off_m: float) -> Seabed:

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import results, slam_summary, slam_tables, summary, terrain
+from pointnetkl import terrain
+from pointnetkl.reporting import results, slam_summary, slam_tables, summary
 
 SETTINGS = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DRAWS, MANY, FEW = 8, 40, 5

@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import artifacts, false_closures, loop_gate, pose_graph, robust, stress
-from pointnetkl.pose_graph import PoseGraph
+from pointnetkl import artifacts
+from pointnetkl.slam import false_closures, loop_gate, pose_graph, robust, stress
+from pointnetkl.slam.pose_graph import PoseGraph
 from toy_survey import SETTINGS as GRAPH_SETTINGS
 from toy_survey import SPACING, graph
 

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import paper, tables, text_table
+from pointnetkl import paper, text_table
+from pointnetkl.reporting import tables
 
 DATASETS = {
     "baltic": {"simulated": True, "vehicle": "surveyor", "area_km2": 252.4, "submaps": 7543, "sigma_z": 0.067827},

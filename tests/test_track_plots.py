@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pointnetkl import plots, pose, track_plots
-from pointnetkl.trajectory_plots import Tracks
+from pointnetkl import pose
+from pointnetkl.reporting import plots, track_plots
+from pointnetkl.reporting.trajectory_plots import Tracks
 
 TRACK = np.stack([np.linspace(0, 900, 10), np.sin(np.arange(10.0)), np.zeros(10)], -1)
 

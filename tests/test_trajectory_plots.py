@@ -7,8 +7,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from pointnetkl import plots, pose, trajectory_plots
-from pointnetkl.trajectory_plots import Tracks
+from pointnetkl import pose
+from pointnetkl.reporting import plots, trajectory_plots
+from pointnetkl.reporting.trajectory_plots import Tracks
 
 SQUARE = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0.2, 0]])
 

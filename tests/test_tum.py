@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graphs
-from pointnetkl import tum
-from pointnetkl.tum import TumError
+from pointnetkl.exchange import tum
+from pointnetkl.exchange.tum import TumError
 
 
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 20))

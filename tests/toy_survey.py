@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from pointnetkl import gicp, graph_construction, loop_closure, pose
-from pointnetkl.pose_graph import ClosureNoise, DeadReckoningNoise
+from pointnetkl import gicp, pose
+from pointnetkl.slam import graph_construction, loop_closure
+from pointnetkl.slam.pose_graph import ClosureNoise, DeadReckoningNoise
+from pointnetkl.slam.survey_graph import SurveyGraph
 from pointnetkl.submap import Submap
-from pointnetkl.survey_graph import SurveyGraph
 
 LENGTH, SWATH, POINTS, SPACING = 30.0, 40.0, 500, 0.8
 DEAD_RECKONING = DeadReckoningNoise(1e-4, 1e-4, 1e-2, 5.0, 5.0, 1.0)

@@ -37,18 +37,20 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and print what is in them."""
     # some seconds, which --help need not take
-    from pointnetkl import artifacts, g2o, graph_exchange, pose_graph, settings, slam, survey_graph, tum
+    from pointnetkl import artifacts, settings
+    from pointnetkl.exchange import g2o, graph_exchange, tum
+    from pointnetkl.slam import pose_graph, protocol, survey_graph
 
-    how = settings.read(arguments.params, "slam", slam.Settings)
+    how = settings.read(arguments.params, "slam", protocol.Settings)
     survey = survey_graph.from_arrays(artifacts.read_arrays(arguments.graph)[0])
     q = shared.covariances(arguments.covariances, arguments.method, how.floor_m2)
     poses, dead_reckoning = survey.gt, pose_graph.between(survey.gt)
     if arguments.corrupted is not None:
         if arguments.corrupted < 0:
             raise shared.CommandError(f"--corrupted is {arguments.corrupted}, must be 0 or above")
-        dead_reckoning = slam.corrupt(survey, 0, arguments.corrupted, how)
+        dead_reckoning = protocol.corrupt(survey, 0, arguments.corrupted, how)
         poses = pose_graph.chain(survey.gt[0], dead_reckoning)
-    weight = slam.weights(survey.closures.registration, arguments.edges or how.edges)
+    weight = protocol.weights(survey.closures.registration, arguments.edges or how.edges)
     origin = f"{survey.survey}, {arguments.method}"
     q_edges = survey_graph.edge_covariances(survey.number, q, survey.closures, origin) * weight[:, None, None]
     full = pose_graph.closure_covariances(q_edges, survey.closure_noise, survey.closures.levers)

@@ -40,7 +40,8 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print a row for each file; return 1 if one of them could not be used."""
     # some seconds, which --help need not take
-    from pointnetkl import cloud_files, estimator
+    from pointnetkl import estimator
+    from pointnetkl.exchange import cloud_files
 
     model = estimator.CovarianceEstimator.load(arguments.model)
     rows = []

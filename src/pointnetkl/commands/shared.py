@@ -38,8 +38,9 @@ def covariances(paths: Sequence[Path], method: str, floor: float = 0.0) -> dict[
     """
     import pandas as pd
 
-    from pointnetkl import artifacts, slam
+    from pointnetkl import artifacts
     from pointnetkl.covariance import table
+    from pointnetkl.slam import protocol
 
     named = ", ".join(map(str, paths))
     rows = pd.concat([artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths], ignore_index=True)
@@ -48,7 +49,7 @@ def covariances(paths: Sequence[Path], method: str, floor: float = 0.0) -> dict[
     rows = rows[rows["method"] == method]
     if len(surveys := sorted(set(rows["survey"]))) > 1:
         raise CommandError(f"{named}: has covariances of {', '.join(surveys)}; give tables of one survey")
-    return slam.by_method(rows, floor)[method]
+    return protocol.by_method(rows, floor)[method]
 
 
 def ellipse(q: np.ndarray) -> tuple[float, float, float]:

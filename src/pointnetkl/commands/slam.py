@@ -50,7 +50,9 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the optimised graph; print a row for each submap."""
     # some seconds, which --help need not take
-    from pointnetkl import estimator, gicp, graph_solver, loop_closure, posed_submaps, settings
+    from pointnetkl import estimator, gicp, settings
+    from pointnetkl.exchange import graph_solver, posed_submaps
+    from pointnetkl.slam import loop_closure
 
     how = _covered(settings.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
     registration = settings.read(arguments.params, "registration", gicp.Settings)

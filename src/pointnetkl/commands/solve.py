@@ -44,7 +44,7 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the solution and print how far the edges are from it."""
     # some seconds, which --help need not take
-    from pointnetkl import g2o, graph_exchange, graph_solver
+    from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 
     content = g2o.read(arguments.graph, arguments.dialect)
     graph, dialect = content.graph, content.dialect
@@ -63,7 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
     """Return the solution by a robust estimator; print the loop closures that it did not believe."""
-    from pointnetkl import graph_exchange, graph_solver, robust, settings
+    from pointnetkl import settings
+    from pointnetkl.exchange import graph_exchange, graph_solver
+    from pointnetkl.slam import robust
 
     thresholds = settings.read(arguments.params, "stress.thresholds", robust.Thresholds)
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
@@ -81,7 +83,7 @@ def write(out: Path, trajectory: Path | None, graph: Any, poses: np.ndarray, dia
     """Write a graph with other poses, and if wanted these as a trajectory, in the order of the vertices' numbers."""
     import dataclasses
 
-    from pointnetkl import g2o, tum
+    from pointnetkl.exchange import g2o, tum
 
     g2o.write(out, dataclasses.replace(graph, poses=poses), dialect)
     if trajectory:

@@ -1,0 +1,1 @@
+"""Pose graphs, trajectories and clouds as other programs write them: g2o, TUM, PCD, PLY."""

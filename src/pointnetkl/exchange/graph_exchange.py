@@ -1,0 +1,96 @@
+"""From the pipeline's graphs to those of g2o files, and our covariances onto the edges of other people's."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from pointnetkl import pose
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.exchange import g2o
+from pointnetkl.slam import pose_graph
+from pointnetkl.slam.pose_graph import DeadReckoningNoise, Edges
+
+_PLACES = np.array([3, 4, 2])  # of x, y and yaw in a tangent vector
+
+
+class GraphExchangeError(PointNetKLError):
+    """A graph and covariances do not belong together."""
+
+
+def join(
+    number: np.ndarray,
+    poses: np.ndarray,
+    dead_reckoning: np.ndarray,
+    noise: DeadReckoningNoise,
+    closures: Edges,
+    covariances: np.ndarray,
+) -> g2o.Graph:
+    """Return the graph of submaps (n,) at poses (n, 4, 4), the first of which is held.
+
+    Its edges are dead reckoning (n - 1, 4, 4) with its noise, and closures with covariances (e, 6, 6) in their
+    sources' frames, rotation first.
+    """
+    node = np.arange(len(number))
+    along = np.tile(np.diag(pose_graph.sigmas(noise) ** -2.0), (len(node) - 1, 1, 1))
+    edges = Edges(
+        np.concatenate([node[:-1], closures.target]),
+        np.concatenate([node[1:], closures.source]),
+        np.concatenate([dead_reckoning, closures.measured]),
+    )
+    return g2o.Graph(number, poses, edges, np.concatenate([along, inverse(covariances)]), node[:1])
+
+
+def closes_loop(graph: g2o.Graph) -> np.ndarray:
+    """Return which (e,) edges join vertices whose numbers are not neighbours."""
+    return np.abs(graph.number[graph.edges.source] - graph.number[graph.edges.target]) > 1
+
+
+def with_covariances(graph: g2o.Graph, q: Mapping[int, np.ndarray]) -> g2o.Graph:
+    """Return the graph with Q (M, M) by submap for x and y (and yaw, M = 3) of its loop closures.
+
+    The registered submap of a loop closure is the later one, of the higher number, in whose frame Q is. Where it is
+    the edge's first vertex Q is taken to the frame of the second. Of the edge's covariance the rest remains; what it
+    had between x, y (and yaw) and the rest goes.
+
+    Raises:
+        GraphExchangeError: a submap that closes a loop has no Q.
+    """
+    closing = np.flatnonzero(closes_loop(graph))
+    covariances = inverse(graph.information[closing])
+    for covariance, edge in zip(covariances, closing.tolist(), strict=True):
+        in_source = _of_edge(graph, edge, q)
+        places = _PLACES[: len(in_source)]
+        covariance[places] = covariance[:, places] = 0.0
+        covariance[places[:, None], places] = in_source
+    information = graph.information.copy()
+    information[closing] = inverse(covariances)
+    return dataclasses.replace(graph, information=information)
+
+
+def inverse(matrices: np.ndarray) -> np.ndarray:
+    """Return the inverses of positive definite matrices (e, k, k), whatever the units of their axes."""
+    scale = 1 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
+    scaled = scale[:, :, None] * matrices * scale[:, None]
+    inverted = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None]
+    return np.asarray((inverted + np.swapaxes(inverted, 1, 2)) / 2)
+
+
+def _of_edge(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return Q (M, M) of an edge's later submap in the frame of its second vertex, where GTSAM has its error."""
+    first, second = (int(graph.number[ends[edge]]) for ends in (graph.edges.target, graph.edges.source))
+    later = max(first, second)
+    if later not in q:
+        raise GraphExchangeError(f"submap {later} closes a loop with {min(first, second)} and has no covariance")
+    if later == second:
+        return q[later]
+    adjoint = _adjoint(np.linalg.inv(graph.edges.measured[edge]))[: len(q[later]), : len(q[later])]
+    return np.asarray(adjoint @ q[later] @ adjoint.T)
+
+
+def _adjoint(T: np.ndarray) -> np.ndarray:
+    """Return what takes small motions (x, y, yaw) from a frame to that which T (4, 4) leads to."""
+    adjoint = np.eye(3)
+    adjoint[:2, :2] = pose.matrix(np.zeros(3), pose.yaw_of(T))[:2, :2]
+    adjoint[:2, 2] = T[1, 3], -T[0, 3]
+    return adjoint

@@ -1,0 +1,82 @@
+"""Submaps in files with their poses, as a pose graph: a survey that another program has cut up."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pointnetkl import gicp, pose
+from pointnetkl.errors import PointNetKLError
+from pointnetkl.exchange import cloud_files, g2o, graph_exchange
+from pointnetkl.gicp import neighbours
+from pointnetkl.slam import loop_closure, pose_graph, protocol, survey_graph
+from pointnetkl.slam.survey_graph import Closures
+from pointnetkl.submap import Submap
+
+_NEIGHBOURS = 20  # whose farthest is at the edge of a disk that holds so many
+
+
+class PosedSubmapsError(PointNetKLError):
+    """Files of submaps are no survey."""
+
+
+def read(paths: Sequence[Path]) -> tuple[list[Submap], np.ndarray]:
+    """Return the submaps of files, numbered from 0 in their order, and their poses T_map_submap (n, 4, 4).
+
+    Each is turned to a levelled frame: of the roll and pitch that its file has, nothing is left in its pose.
+
+    Raises:
+        CloudFileError: a file is damaged or has no pose.
+        PosedSubmapsError: there are fewer than two files, all with one pose, or one has too few points.
+    """
+    if len(paths) < 2:
+        raise PosedSubmapsError(f"there is {len(paths)} submap, a graph needs 2 or more")
+    submaps, poses = [], []
+    for number, path in enumerate(paths):
+        points, T = levelled(*cloud_files.read_posed(path))
+        if len(points) <= _NEIGHBOURS or not np.isfinite(points).all():
+            raise PosedSubmapsError(f"{path}: a submap needs more than {_NEIGHBOURS} points, all of them finite")
+        submaps.append(Submap("submaps", number, points, points[::2], points[1::2]))
+        poses.append(T)
+    if not np.ptp(np.array(poses)[:, :3, 3], axis=0).any():
+        raise PosedSubmapsError(f"{paths[0]} and all others are at one place: their VIEWPOINT says no pose")
+    return submaps, np.array(poses)
+
+
+def levelled(points: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (n, 3) of a frame of pose T (4, 4) in the frame of its position and yaw alone; and that pose."""
+    level = pose.matrix(T[:3, 3], pose.yaw_of(T))
+    return pose.transform(np.linalg.inv(level) @ T, points), level
+
+
+def spacing(submaps: Sequence[Submap]) -> float:
+    """Return the edge in metres of the square that has one point, at the median over points and then over submaps.
+
+    By how far a point's neighbours are: along a ping they may be much denser than along the track.
+    """
+    farthest = [neighbours.nearest(s.points, _NEIGHBOURS)[0][:, -1] for s in submaps]
+    return float(np.median([np.median(d) for d in farthest]) * np.sqrt(np.pi / _NEIGHBOURS))
+
+
+def connect(
+    submaps: Sequence[Submap],
+    poses: np.ndarray,
+    q: Mapping[int, np.ndarray],
+    edges: str,
+    settings: loop_closure.Settings,
+    registration: gicp.Settings,
+) -> tuple[g2o.Graph, Closures]:
+    """Return the graph of submaps at poses (n, 4, 4) with Q (M, M) by submap on its loop closures, and those.
+
+    Registrations start from the poses, moved along with the submap before; `edges` is all or shared, as slam.edges.
+
+    Raises:
+        SurveyGraphError: a Q has not the dimensions of the registration.
+    """
+    found = loop_closure.close(submaps, poses, None, spacing(submaps), settings, registration)
+    number = np.array([s.number for s in submaps], np.int64)
+    weight = protocol.weights(found.registration, edges)[:, None, None]
+    q_edges = survey_graph.edge_covariances(number, q, found, "submaps") * weight
+    full = pose_graph.closure_covariances(q_edges, settings.loop_closure, found.levers)
+    along = pose_graph.between(poses)
+    return graph_exchange.join(number, poses, along, settings.dead_reckoning, found.edges, full), found

@@ -1,0 +1,1 @@
+"""The report: numbers, tables, figures and words, from every stage's artifacts."""

@@ -1,0 +1,35 @@
+"""The page's words on the map-to-map error: where a map disagrees with itself, and what the measure hides."""
+
+from collections.abc import Mapping, Sequence
+
+from pointnetkl.reporting.consistency_plots import PERCENTILE
+from pointnetkl.reporting.page import Section
+from pointnetkl.text_table import Block
+
+
+def section(shown: Mapping[str, Sequence[Block]]) -> Section:
+    """Return the section of the consistency maps and of thinning, of the tables by the stems of their files."""
+    return Section(
+        "Consistency of the map",
+        (
+            "In each cell of slam.map_cell_m, for every ordered pair of submaps in it: the mean over a's points of the"
+            " distance to b's nearest; the cell counts its worst pair. Every slam.map_thinning-th point asks, and all"
+            " answer. map_to_map_auvlib_m is the authors' way, on 500 x 500 cells however large the map: compare it"
+            " between methods, never between surveys.",
+            "Thinning is not neutral. Fewer points that ask overlook submaps that barely reach into a cell, whose pairs"
+            " are the worst, and tell a cell's worst pair less surely, which makes it worse: ratio has both."
+            " both_thinned_m is what thinning the points that answer as well would do: a map seems worse because its"
+            " points are farther apart.",
+        ),
+        shown["map_thinning"],
+        {
+            "consistency": "Map-to-map error by cell (root mean square above), repetition 0, a row for each survey and"
+            f" on one scale in it, which ends at the {PERCENTILE:.0f}th percentile of its cells. Every method, in map"
+            " coordinates: reports/slam/<survey>_consistency.tif, a band each.",
+        },
+        (
+            "Dark stripes at every trajectory, the true one too, are where one submap ends and the next begins: both"
+            " have points in the cell, and those of one are far from the other's end. They and the spacing of"
+            " soundings are most of the number, so that it tells good maps from each other badly.",
+        ),
+    )
