@@ -22,7 +22,9 @@ def survey(name: str, q: np.ndarray, methods: dict[str, np.ndarray]) -> cases.Su
     k = len(q)
     labels = results.Labels(100 + np.arange(k), q, np.full(k, 1.5), np.zeros(k, bool), pd.DataFrame(), {})
     nothing = np.empty((0, 2))
-    test = results.Test(methods, np.empty((k, 0, 2)), pd.DataFrame(), pd.DataFrame(), nothing, nothing, nothing, nothing)
+    test = results.Test(
+        methods, np.empty((k, 0, 2)), pd.DataFrame(), pd.DataFrame(), nothing, nothing, nothing, nothing
+    )
     return cases.Survey(name, [cloud(0.1 * i) for i in range(k)], labels, test, 0.01)
 
 
