@@ -7,7 +7,7 @@ import pandas as pd
 
 from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
 from pointnetkl.covariance import table, trained
-from pointnetkl.slam import closure_errors, closure_overlap, loop_closure, survey_graph
+from pointnetkl.slam import closure_errors, closure_overlap, graph_file, loop_closure
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -17,10 +17,11 @@ def main(arguments: argparse.Namespace) -> None:
     graph = settings.read(arguments.params, "graph", loop_closure.Settings)
     label = settings.read(arguments.params, "label", monte_carlo.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
-    arrays, made_with = artifacts.read_arrays(arguments.graph)
-    made = survey_graph.from_arrays(arrays)
+    file = graph_file.read(arguments.graph, name, registration.dimensions)
+    made, made_with = file.graph, file.made_with
+    artifacts.require_survey(name, arguments.submaps)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    how = closure_errors.How(float(made_with["spacing_m"]), graph, label, registration)
+    how = closure_errors.How(file.number("spacing_m"), graph, label, registration)
     rows, measured = closure_errors.measure(made, submaps, chosen, how)
     models = trained.load_all([arguments.model], label, registration)
     reach = None if graph.overlap_factor is None else graph.overlap_factor * how.spacing_m

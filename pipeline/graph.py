@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap, survey
-from pointnetkl.slam import graph_construction, loop_closure, survey_graph
+from pointnetkl.slam import graph_construction, loop_closure, pose_table, survey_graph
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -14,6 +14,8 @@ def main(arguments: argparse.Namespace) -> None:
     name = arguments.survey
     graph = settings.read(arguments.params, "graph", loop_closure.Settings)
     registration = settings.read(arguments.params, "registration", gicp.Settings)
+    tables = (arguments.submaps, arguments.poses, arguments.labels, arguments.pings, arguments.truth)
+    artifacts.require_survey(name, *tables)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
@@ -21,9 +23,7 @@ def main(arguments: argparse.Namespace) -> None:
     pings = artifacts.read_table(arguments.pings, survey.PINGS)
     truth = graph_construction.truth_at(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
     spacing = float(np.median(labels["spacing_m"]))
-    made = graph_construction.build(
-        name, submaps, graph_construction.poses(poses), truth, q, spacing, graph, registration
-    )
+    made = graph_construction.build(name, submaps, pose_table.poses(poses), truth, q, spacing, graph, registration)
     metadata = {
         "survey": name,
         "spacing_m": spacing,

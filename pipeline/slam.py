@@ -4,25 +4,22 @@ import argparse
 import sys
 from pathlib import Path
 
-import pandas as pd
-
 from pointnetkl import artifacts, command, settings, submap
 from pointnetkl.consistency import consistency_map, map_frame, map_thinning
 from pointnetkl.consistency.map_to_map import MapToMap
 from pointnetkl.consistency.map_to_map_auvlib import MapToMapAuvlib
 from pointnetkl.covariance import table
-from pointnetkl.slam import protocol, slam_benchmark, survey_graph
+from pointnetkl.slam import graph_file, protocol, slam_benchmark
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and the covariances; write every run's errors, trajectories, and maps of the first."""
     name = arguments.survey
     chosen = settings.read(arguments.params, "slam", protocol.Settings)
-    arrays, made_with = artifacts.read_arrays(arguments.graph)
-    graph = survey_graph.from_arrays(arrays)
-    paths = (arguments.estimated, arguments.predicted, arguments.measured)
-    tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
-    methods = protocol.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2)
+    _, graph, made_with = graph_file.read(arguments.graph, name)
+    artifacts.require_survey(name, arguments.submaps, arguments.pings)
+    covariances = table.read((arguments.estimated, arguments.predicted, arguments.measured), name)
+    methods = protocol.by_method(covariances, chosen.floor_m2)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
     measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)

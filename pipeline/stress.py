@@ -4,31 +4,33 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from pointnetkl import artifacts, command, settings, submap
 from pointnetkl.covariance import table
-from pointnetkl.slam import false_closures, loop_gate, protocol, stress, survey_graph
+from pointnetkl.slam import false_closures, graph_file, loop_gate, protocol, stress
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph, the submaps and the covariances; write errors by kernel, share and method, and the gate's."""
     name = arguments.survey
     chosen = settings.read(arguments.params, "stress", stress.Settings)
-    arrays, made_with = artifacts.read_arrays(arguments.graph)
-    graph = survey_graph.from_arrays(arrays)
-    paths = (arguments.estimated, arguments.predicted)
-    tables = [artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths]
-    methods = stress.chosen(protocol.by_method(pd.concat(tables, ignore_index=True), chosen.floor_m2), chosen, name)
+    slam = settings.read(arguments.params, "slam", protocol.Settings)
+    file = graph_file.read(arguments.graph, name)
+    graph, made_with = file.graph, file.made_with
+    cell, coverage = file.number("graph.cell_factor") * file.number("spacing_m"), file.number("graph.coverage")
+    artifacts.require_survey(name, arguments.submaps)
+    covariances = table.read((arguments.estimated, arguments.predicted), name)
+    methods = stress.chosen(protocol.by_method(covariances, slam.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
     known = bool(np.isfinite(graph.truth).all())
-    cell = made_with["graph"]["cell_factor"] * made_with["spacing_m"]
     apart = false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if known else graph.gt, cell))
-    rows = stress.benchmark(stress.Case(graph, methods, apart, chosen))
-    corrupted = [stress.corrupted_poses(graph, i, chosen) for i in range(chosen.repetitions)]
-    gate = loop_gate.table(graph, clouds, corrupted, cell, made_with["graph"]["coverage"])
-    metadata = {"survey": name, "stress": settings.as_metadata(chosen), "graph": made_with}
+    case = stress.Case(graph, methods, apart, slam.yaw_sigma_rad, chosen)
+    rows = stress.benchmark(case)
+    corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
+    gate = loop_gate.table(graph, clouds, corrupted, cell, coverage)
+    of_slam = {"yaw_sigma_rad": slam.yaw_sigma_rad, "floor_m2": slam.floor_m2}
+    metadata = {"survey": name, "stress": settings.as_metadata(chosen), "slam": of_slam, "graph": made_with}
     artifacts.write_table(arguments.rows, rows, stress.ROWS, metadata)
     artifacts.write_table(arguments.gate, gate, loop_gate.GATE, metadata)
 

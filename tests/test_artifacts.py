@@ -171,3 +171,12 @@ def test_json_that_is_no_object_is_refused(tmp_path: Path):
         (tmp_path / "c.json").write_text(text, encoding="latin-1")
         with pytest.raises(ArtifactError):
             artifacts.read_json(tmp_path / "c.json")
+
+
+def test_a_table_of_another_survey_is_refused_and_one_that_does_not_say_is_not(tmp_path: Path):
+    paths = [tmp_path / f"{name}.parquet" for name in ("none", "borno", "baltic")]
+    for path, metadata in zip(paths, ({}, {"survey": "borno"}, {"survey": "baltic"}), strict=True):
+        artifacts.write_table(path, FRAME, SCHEMA, metadata)
+    artifacts.require_survey("borno", *paths[:2])
+    with pytest.raises(ArtifactError, match=r"baltic\.parquet: is of survey baltic, not of borno"):
+        artifacts.require_survey("borno", *paths)

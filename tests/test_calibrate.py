@@ -4,6 +4,7 @@ import dataclasses
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -160,6 +161,24 @@ def test_slopes_in_one_block_are_as_patchy_as_can_be():
     corner = (points < 5).all(axis=1)
     assert closure_terrain.patchiness(points, corner.astype(float)) == pytest.approx(np.sqrt(15))
     assert closure_terrain.patchiness(points, np.zeros(1600)) == 0
+
+
+def test_where_no_placed_registration_matches_q_ij_is_the_label_by_halves(
+    toy: tuple[list[submap.Submap], SurveyGraph], monkeypatch: pytest.MonkeyPatch
+):
+    alone = toy[1].number[toy[1].closures.node[0]]
+    errors = closure_errors._errors
+
+    def lost(one: submap.Submap, *rest: Any) -> np.ndarray:
+        return errors(one, *rest) * (np.nan if one.number == alone else 1.0)
+
+    monkeypatch.setattr(closure_errors, "_errors", lost)
+    _, found = measure(toy, runs=4)
+    pair, split = covariances(found, "pair"), covariances(found, "split")
+    assert set(pair) == set(split)
+    assert (pair[alone] == split[alone]).all()
+    assert sum((pair[number] == split[number]).all() for number in pair) == 1
+    survey_graph.edge_covariances(toy[1].number, pair, toy[1].closures, "toy, pair")  # every edge has one
 
 
 def test_fewer_than_four_runs_are_refused():

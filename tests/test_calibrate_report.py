@@ -93,8 +93,55 @@ def test_ratios_are_of_standard_deviations():
     longer = {number: q @ np.diag([4.0, 1.0]) for number, q in dict.fromkeys(range(SUBMAPS), np.eye(2)).items()}
     squeezed = Closures(of.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "pair": longer})
     found = closures.ratios(squeezed, GOLD)
-    assert found["ratio"].to_numpy() == pytest.approx(np.sqrt(2))
+    assert found["ratio"].to_numpy() == pytest.approx(np.sqrt(5 / 2))
     assert found["worst_ratio"].to_numpy() == pytest.approx(2)
+
+
+def one_bias(against: str = "truth") -> Closures:
+    """Return registrations of each submap that all end at an error drawn from its label: Q_ij is of rank one, nearly.
+
+    Its short axis is a millimetre, of what the starts leave.
+    """
+    of, rng = made(1, truth=against == "truth"), np.random.default_rng(4)
+    labels = np.array(list(of.covariances[GOLD].values()))
+    bias = np.einsum("kij,kj->ki", np.linalg.cholesky(labels), rng.normal(size=(SUBMAPS, 2)))
+    ends = bias[of.rows["submap"]] + rng.normal(0, 1e-3, (len(of.rows), 2))
+    rows = of.rows.assign(placed_error_x_m=ends[:, 0], placed_error_y_m=ends[:, 1])
+    pair = dict(enumerate(bias[:, :, None] * bias[:, None, :] + 1e-6 * np.eye(2)))
+    return Closures(rows, {**of.covariances, "pair": pair})
+
+
+def test_a_q_of_rank_one_is_as_wide_as_its_error_and_not_as_its_short_axis():
+    of = one_bias()
+    found = closures.ratios(of, GOLD)
+    shares = [
+        np.sqrt(np.linalg.det(of.covariances["pair"][n]) / np.linalg.det(of.covariances[GOLD][n]))
+        for n in range(SUBMAPS)
+    ]
+    assert np.median(np.sqrt(shares)) < 0.5  # what determinants would say, of errors that the labels tell rightly
+    assert 0.6 < np.sqrt((found["ratio"] ** 2).mean()) < 1.4
+    assert (found["worst_ratio"] >= found["ratio"]).all()
+
+
+def test_with_yaw_ratios_are_of_positions():
+    of = made(1, m=3)
+    turned = {number: q * np.diag([1.0, 1.0, 1e4]) for number, q in of.covariances[GOLD].items()}
+    of = Closures(
+        of.rows, {GOLD: dict.fromkeys(turned, np.eye(3)), "pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))}
+    )
+    found = closures.ratios(of, GOLD)
+    assert found[["ratio", "worst_ratio"]].to_numpy() == pytest.approx(2.0)
+
+
+def test_the_page_calls_q_ij_an_oracle_and_quotes_no_circular_coverage():
+    surveys = {"a": one_bias(), "mine": one_bias("gt")}
+    said = closure_story.section(closure_tables.every(numbers(surveys), DATASETS), {"a": "same"}).paragraphs
+    assert any("an oracle" in text and "circular" in text for text in said)
+    (inside,) = (text for text in said if text.startswith("Inside the ellipse"))
+    known, unknown = inside.split("; ")
+    assert known.count("(placed") == 2  # labels and split
+    assert "Q_ij" in known.rsplit(",", 1)[1]
+    assert "placed" not in unknown
 
 
 def test_classes_by_hold_hold_every_registration_once():
@@ -129,6 +176,18 @@ def test_the_page_advises_the_copy_whose_labels_hold_as_many_errors_as_they_say(
     blocks = closure_tables.every(numbers(swapped), DATASETS)
     assert "take label.copy: split" in closure_story.section(blocks, copies).paragraphs[-2]
     assert not any("What follows" in said for said in closure_story.section(blocks, {"a": "split"}).paragraphs)
+
+
+def test_where_the_truth_is_not_known_no_copy_is_advised():
+    blocks = closure_tables.every(numbers({"a": made(1, truth=False)}), DATASETS)
+    said = closure_story.section(blocks, {"a": "same"}).paragraphs
+    assert not any("What follows" in text for text in said)
+    blocks = closure_tables.every(numbers({"a": made(1, truth=False), "b": made(2)}), DATASETS)
+    said = closure_story.section(blocks, {"a": "same", "b": "same"}).paragraphs
+    assert sum("What follows" in text for text in said) == 1  # of b
+    of_a, of_b = next(text for text in said if "other test surveys ask" in text).split("; b, ", 1)
+    assert "without GT's errors" in of_b
+    assert "without GT's errors" not in of_a
 
 
 def test_bins_of_errors_drawn_from_q_lie_on_the_line():

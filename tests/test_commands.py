@@ -39,6 +39,8 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     poses = poses.assign(track_m=30.0, pings=9, soundings=500, line=0)
     poses = poses.astype({"pings": np.int32, "line": np.int32, "soundings": np.int32})
     artifacts.write_table(folder / "poses.parquet", poses, submap.POSES, {})
+    artifacts.write_table(folder / "other_poses.parquet", poses, submap.POSES, {"survey": "other"})
+    artifacts.write_table(folder / "other_q.parquet", rows.assign(survey="other"), table.SCHEMA, {})
     return folder
 
 
@@ -67,8 +69,8 @@ def test_an_exported_graph_solves_to_what_the_benchmark_finds(
 
     graph = survey_graph.from_arrays(artifacts.read_arrays(survey / "graph.npz")[0])
     how = parameters.read(PARAMS, "slam", protocol.Settings)
-    weight = protocol.weights(graph.closures.registration, "shared")[:, None, None]
-    full = pose_graph.closure_covariances((Q + how.floor_m2 * np.eye(2)) * weight, graph.closure_noise)
+    q = dict.fromkeys(graph.number.tolist(), Q + how.floor_m2 * np.eye(2))
+    full = survey_graph.full_covariances(graph.number, q, graph.closures, graph.closure_noise, "toy", "shared")
     dead_reckoning = protocol.corrupt(graph, 0, 2, how)
     start = pose_graph.chain(graph.gt[0], dead_reckoning)
     factors = pose_graph.PoseGraph(graph.gt[0], graph.closures.edges, full)
@@ -132,12 +134,17 @@ def test_a_robust_solver_names_the_loop_closures_that_it_does_not_believe(
         (["--corrupted", -1], "--corrupted is -1, must be 0 or above"),
         (["--params", "gone.yaml"], "gone.yaml: cannot be read"),
         (["--covariances", "gone.parquet"], "gone.parquet: is missing"),
+        (["--tum", "OUT"], "two files are to be written there"),
+        (["--covariances", "OTHER_q"], "has covariances of survey other, not of toy"),
+        (["--poses", "OTHER_poses"], "is of survey other, not of toy"),
     ],
 )
 def test_what_cannot_be_exported_is_told_in_a_sentence(
     survey: Path, tmp_path: Path, words: list[object], sentence: str, capsys: pytest.CaptureFixture
 ):
-    status, out, err = told(capsys, *export(survey, tmp_path / "a.g2o", *words))
+    files = {"OUT": tmp_path / "a.g2o"} | {f"OTHER_{name}": survey / f"other_{name}.parquet" for name in ("q", "poses")}
+    given = [files.get(str(word), word) for word in words]
+    status, out, err = told(capsys, *export(survey, tmp_path / "a.g2o", *given))
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert sentence in err
     assert not (tmp_path / "a.g2o").exists()
@@ -149,6 +156,24 @@ def test_a_damaged_graph_ends_solve_in_a_sentence(tmp_path: Path, capsys: pytest
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert err.startswith(f"error: {tmp_path / 'a.g2o'}: line 1: it begins with 'VERTEX_SE2'")
     assert not (tmp_path / "b.g2o").exists()
+
+
+def test_one_file_is_not_written_over_another(survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
+    told(capsys, *export(survey, tmp_path / "a.g2o"))
+    out = tmp_path / "b.g2o"
+    status, _, err = told(capsys, "solve", tmp_path / "a.g2o", "--out", out, "--tum", tmp_path / "." / "b.g2o")
+    assert (status, err) == (1, f"error: {out}: two files are to be written there; give each a name of its own\n")
+    assert not out.exists()
+
+
+def test_a_damaged_graph_of_the_pipeline_ends_export_in_a_sentence(
+    survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    arrays, _ = artifacts.read_arrays(survey / "graph.npz")
+    artifacts.write_arrays(tmp_path / "graph.npz", arrays | {"gt": arrays["gt"] * np.nan}, {})
+    given = ["--covariances", survey / "q.parquet", "--params", PARAMS, "--out", tmp_path / "a.g2o"]
+    status, _, err = told(capsys, "export", tmp_path / "graph.npz", *given)
+    assert (status, "graph.npz: the graph is damaged: gt has a number that is not finite" in err) == (1, True)
 
 
 def test_every_command_has_help_that_says_what_it_takes(capsys: pytest.CaptureFixture):
@@ -270,7 +295,11 @@ def test_files_without_poses_are_refused_in_a_sentence(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("said", "sentence"),
-    [("1 2 3 1 1 0 0", "has not length 1"), ("1 2 nan 1 0 0 0", "is not a finite number"), ("1 2 3", "is damaged")],
+    [
+        ("1 2 3 1 1 0 0", "has not length 1"),
+        ("1 2 nan 1 0 0 0", "VIEWPOINT is no pose: 'nan' is not a finite number"),
+        ("1 2 3", "VIEWPOINT has 3 numbers, must have 7: x y z qw qx qy qz"),
+    ],
 )
 def test_a_viewpoint_that_is_no_pose_is_refused(tmp_path: Path, said: str, sentence: str):
     path = pcd(tmp_path / "a.pcd", np.zeros((3, 3)), np.eye(4))

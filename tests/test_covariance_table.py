@@ -49,3 +49,12 @@ def test_what_is_no_covariance_gets_into_no_table():
 def test_a_matrix_for_each_submap_is_demanded():
     with pytest.raises(ValueError, match="shorter"):
         table.from_matrices("small", "constant", [4, 9], Q[:1])
+
+
+def test_files_of_one_survey_are_joined_and_one_of_another_is_refused(tmp_path: Path):
+    paths = [tmp_path / f"{name}.parquet" for name in "abc"]
+    for path, survey, method in zip(paths, ("small", "small", "other"), ("one", "two", "three"), strict=True):
+        artifacts.write_table(path, table.from_matrices(survey, method, [4, 9], Q), table.SCHEMA, {})
+    assert table.read(paths[:2], "small")["method"].tolist() == ["one", "one", "two", "two"]
+    with pytest.raises(CovarianceError, match=r"c\.parquet: has covariances of survey other, not of small"):
+        table.read(paths, "small")

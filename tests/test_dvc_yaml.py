@@ -12,6 +12,7 @@ SOURCE = ROOT / "src"
 STAGES = {
     name: stage.get("do", stage) for name, stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items()
 }
+MODELS = yaml.safe_load((ROOT / "params.yaml").read_text())["models"]  # `${item}` is each of them
 SCRIPTS = {name: ROOT / "pipeline" / f"{name}.py" for name in STAGES if name != "gather"}
 
 
@@ -106,10 +107,11 @@ def downstream(first: set[str]) -> set[str]:
 def outs(stage: str) -> list[str]:
     """Return the paths that a stage makes."""
     return [
-        path.replace("${item}", "pointnetkl")
+        path.replace("${item}", model)
         for kind in ("outs", "metrics", "plots")
         for out in STAGES[stage].get(kind, [])
         for path in ([out] if isinstance(out, str) else list(out))
+        for model in MODELS
     ]
 
 
@@ -127,12 +129,12 @@ def rerun_by(section: str) -> set[str]:
     return downstream({n for n, s in STAGES.items() if any(p.split(".")[0] == section for p in s.get("params", []))})
 
 
-def test_changing_slam_reruns_slam_and_report_only():
-    assert rerun_by("slam") == {"slam", "report"}
+def test_changing_slam_reruns_slam_stress_and_report_only():
+    assert rerun_by("slam") == {"slam", "stress", "report"}
 
 
 def test_changing_a_model_neither_relabels_nor_reestimates():
-    assert rerun_by("models") == {"train", "predict", "slam", "stress", "time", "report"}
+    assert rerun_by("models") == {"train", "predict", "calibrate", "slam", "stress", "time", "report"}
 
 
 def test_changing_label_does_not_rerun_simulate_to_voxelise():

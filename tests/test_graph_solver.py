@@ -12,7 +12,7 @@ from pointnetkl import pose, settings
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 from pointnetkl.exchange.graph_solver import GraphSolverError
-from pointnetkl.slam import pose_graph, robust
+from pointnetkl.slam import gtsam_search, pose_graph, robust
 from pointnetkl.slam.pose_graph import Edges
 from test_graph_exchange import NONE, crossing, moved
 from test_pose_graph import CROSSING, closure
@@ -112,6 +112,21 @@ def test_a_vertex_that_nothing_holds_is_named():
     with pytest.raises(GraphSolverError, match="vertex 3 is joined by no edges to a vertex that is held"):
         graph_solver.solve(loose)
     assert len(graph_solver.solve(dataclasses.replace(loose, fixed=np.array([0, 3]))).poses) == 4
+
+
+def test_poses_that_still_move_at_an_error_that_does_not_change_are_a_solution(monkeypatch: pytest.MonkeyPatch):
+    graph, _ = meshed()
+    found = graph_solver.solve(graph)
+    monkeypatch.setattr(gtsam_search, "_STEADY_M", 0.0)  # as on a bend that no edge feels: no step is small enough
+    again = graph_solver.solve(graph)
+    np.testing.assert_allclose(again.poses, found.poses, atol=1e-3)
+    assert again.chi2_after == pytest.approx(found.chi2_after, rel=1e-8)
+
+
+def test_a_search_that_does_not_come_to_rest_says_how_far_it_still_moves(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(gtsam_search, "rest", lambda *_: gtsam_search.Rest(np.empty((14, 4, 4)), 0.3, 1e-3))
+    with pytest.raises(GraphSolverError, match=r"14 vertices is not settled: the last step moved a pose by 0\.3 m"):
+        graph_solver.solve(meshed()[0])
 
 
 def test_a_sigma_of_a_tenth_of_a_millimetre_does_not_stop_the_solver():

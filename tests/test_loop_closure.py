@@ -237,3 +237,15 @@ def test_submaps_without_poses_are_refused():
     submaps, truth = sail(1, 3)
     with pytest.raises(loop_closure.LoopClosureError, match="3 submaps and 2 poses"):
         loop_closure.close(submaps, truth[:2], None, SPACING, SETTINGS, REGISTRATION)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("cell_factor", 1e-9), ("cell_factor", 1e9), ("prior_variance_m2", 1e300), ("prior_variance_m2", -1.0)),
+        *(("prior_yaw_sigma_rad", 9.0), ("coverage", 1.1), ("coverage", 0.0), ("overlap_factor", 0.0), ("draws", 0)),
+    ],
+)
+def test_settings_without_sense_are_refused(name: str, value: float):
+    with pytest.raises(ValueError, match=f"^{name} is"):
+        dataclasses.replace(SETTINGS, **{name: value})

@@ -196,6 +196,7 @@ def test_covariances_by_qr_are_those_of_marginals():
         assert graph.position_covariances(odometry, truth) == pytest.approx(usual, rel=1e-6, abs=1e-9)
 
 
-def test_noise_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match="yaw_rad is 0"):
-        pose_graph.ClosureNoise(0.01, 0.01, 0.0, 0.01)
+@pytest.mark.parametrize("yaw", [0.0, -1.0, 1e-300, 1e300, np.nan])
+def test_noise_that_is_not_positive_or_beyond_arithmetic_is_refused(yaw: float):
+    with pytest.raises(ValueError, match=r"yaw_rad is .*, must be from 1e-09 to 1e\+06"):
+        pose_graph.ClosureNoise(0.01, 0.01, yaw, 0.01)

@@ -90,6 +90,7 @@ def test_metrics_have_every_key_of_the_specification(numbers: dict[str, dict]):
     assert set(numbers["slam"]["borno_8"]["constant"]) >= {
         *("rmse_xyz_m", "rmse_xyz_ci95_m", "truth_rmse_xyz_m", "map_to_map_m", "pose_nees", "truth_relative_m"),
         *("draws_truth_rmse_xyz_m", "draws_truth_rmse_xyz_ci95_m", "network_minus_m", "network_p"),
+        *("network_minus_ci95_m", "network_minus_se2_ci95_m", "network_minus_relative_ci95_m"),
     }
 
 

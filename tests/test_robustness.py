@@ -40,6 +40,12 @@ def test_a_failed_run_is_counted_and_in_no_median(found: robustness.Found):
     assert np.isfinite(plain["truth_rmse_xyz_m"])
 
 
+def test_the_share_itself_is_of_whole_closures(found: robustness.Found):
+    few = found.rows.assign(true_closures=47, false_closures=2, share=0.05)
+    table = robustness.tables(robustness.Found(few, found.gate), DATASETS)
+    assert set(table["robustness_shares"][0].frame["false_share"]) == {2 / 49}
+
+
 def test_kernels_are_judged_from_where_the_first_ended(found: robustness.Found):
     starts = robustness.judged(found.rows).groupby("kernel")["start"].unique()
     assert {kernel: list(each) for kernel, each in starts.items()} == {
@@ -75,6 +81,46 @@ def test_the_page_says_which_kernels_stand_false_closures(found: robustness.Foun
     assert "cauchy" in advice.split(":")[0]
     assert "gnc" in advice.split(":")[0]
     assert "plain" not in advice.split(":")[0]
+
+
+def advice(rows: pd.DataFrame, found: robustness.Found) -> str:
+    """Return what the page advises of such runs."""
+    section = robustness_story.section(robustness.tables(robustness.Found(rows, found.gate), DATASETS))
+    return section.paragraphs[1]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_a_kernel_that_failed_once_does_not_stand_false_closures(found: robustness.Found, share: float):
+    rows = found.rows.copy()
+    once = (rows["kernel"] == "gnc") & (rows["start"] == "cauchy") & (rows["survey"] == "borno_8")
+    once &= (rows["share"] == share) & (rows["repetition"] == 0) & (rows["method"] == "constant")
+    rows.loc[once, "failed"] = True
+    assert "Use cauchy:" in advice(rows, found)
+    assert "(1 failed)" in advice(rows, found)
+
+
+def test_a_kernel_that_failed_in_every_run_of_a_method_does_not_stand_by_the_others(found: robustness.Found):
+    rows = found.rows.copy()
+    every = (rows["kernel"] == "cauchy") & (rows["method"] == "constant") & (rows["survey"] == "borno_8")
+    rows.loc[every, "failed"] = True
+    rows.loc[every, "truth_rmse_xyz_m"] = np.nan
+    said = advice(rows, found)
+    assert "Use gnc:" in said
+    assert f"cauchy {text_table.UNKNOWN} (" in said
+
+
+def test_a_kernel_without_a_number_does_not_stand_though_no_run_failed(found: robustness.Found):
+    rows = found.rows.copy()
+    rows.loc[
+        (rows["kernel"] == "gnc") & (rows["method"] == "constant") & (rows["share"] == 0.5), "truth_rmse_xyz_m"
+    ] = np.nan
+    assert "Use cauchy:" in advice(rows, found)
+
+
+def test_the_page_tells_what_a_start_costs_and_how_many_true_closures_stay(found: robustness.Found):
+    section = robustness_story.section(robustness.tables(found, DATASETS))
+    assert any("cauchy 0.9, gnc 0.9" in text for text in section.paragraphs)
+    assert any("From the corrupted poses instead, with 50 %" in text for text in section.paragraphs)
 
 
 def test_the_page_of_a_survey_of_ones_own_alone_gives_no_advice(found: robustness.Found):

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from pointnetkl.covariance import gaussian, table
-from pointnetkl.slam import pose_graph, protocol
+from pointnetkl.slam import pose_graph, protocol, survey_graph
+from pointnetkl.slam.pose_graph import Edges
 from toy_survey import graph
 
 SETTINGS = protocol.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
@@ -32,12 +33,18 @@ def test_only_the_yaw_of_dead_reckoning_is_corrupted():
 
 
 def test_a_registration_shared_by_its_edges_counts_once():
-    registration = np.array([0, 1, 1, 2, 2, 2])
-    assert protocol.weights(registration, "all").tolist() == [1] * 6
-    assert protocol.weights(registration, "shared").tolist() == [1, 2, 2, 3, 3, 3]
+    closures, q = GRAPH.closures, {s.number: 0.04 * np.eye(2) for s in SUBMAPS}
+
+    def x_variances(edges: str, of: survey_graph.Closures = closures) -> np.ndarray:
+        return survey_graph.full_covariances(GRAPH.number, q, of, GRAPH.closure_noise, "toy", edges)[:, 3, 3]
+
+    assert (x_variances("all") == 0.04).all()
     # the information of its edges then adds up to that of one Q
-    assert np.bincount(registration, 1 / protocol.weights(registration, "shared")).tolist() == pytest.approx([1, 1, 1])
-    assert protocol.weights(registration[:0], "shared").shape == (0,)
+    assert np.bincount(closures.registration, 1 / x_variances("shared")) == pytest.approx(1 / 0.04)
+    assert np.bincount(closures.registration).max() > 1
+    none = Edges(*(part[:0] for part in (closures.edges.target, closures.edges.source, closures.edges.measured)))
+    bare = dataclasses.replace(closures, edges=none, registration=closures.registration[:0])
+    assert x_variances("shared", bare).shape == (0,)
 
 
 @pytest.mark.parametrize("bad", [[[1.0, 2.0], [2.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]]])
@@ -89,6 +96,7 @@ def test_only_the_first_draw_has_the_paper_s_many_noises():
     [
         *(("edges", "some"), ("repetitions", 0), ("draw_repetitions", 0), ("draw_repetitions", 5), ("seed", -1)),
         *(("yaw_sigma_rad", -0.1), ("floor_m2", -1.0), ("map_cell_m", 0.0), ("map_thinning", 0)),
+        *(("map_cell_m", 1e9), ("map_cell_m", 1e-300), ("floor_m2", 1e300)),
     ],
 )
 def test_settings_without_sense_are_refused(name: str, value: object):

@@ -1,4 +1,4 @@
-"""Differences between methods are paired by draw and noise, and a draw counts once."""
+"""Differences of network from other methods are paired by draw and noise, and a draw counts once."""
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,7 @@ def rows(first: int = 5, noise: float = 0.0) -> pd.DataFrame:
 def test_what_all_methods_share_drops_out():
     found = slam_differences.differences({"borno_8": rows()}).set_index(["measure", "method"])["difference_m"]
     for measure in slam_differences.MEASURES:
-        assert found[measure].to_dict() == pytest.approx({name: off for name, off in OFF.items() if name != "network"})
+        assert found[measure].to_dict() == pytest.approx({name: -off for name, off in OFF.items() if name != "network"})
 
 
 def test_seeing_every_noise_twice_makes_no_interval_narrower():
@@ -42,14 +42,14 @@ def test_seeing_every_noise_twice_makes_no_interval_narrower():
 
 def test_every_draw_counts_with_as_many_noises():
     found = slam_differences.differences({"borno_8": rows(first=5)})  # constant is far off in the first draw's last two
-    assert found[found["method"] == "constant"]["difference_m"].to_numpy() == pytest.approx(0.5)
+    assert found[found["method"] == "constant"]["difference_m"].to_numpy() == pytest.approx(-0.5)
 
 
 def test_what_has_no_solution_is_left_out_of_its_method_only():
     of = rows()
     of.loc[(of["method"] == "censi") & (of["draw"] == 1), list(slam_differences.MEASURES)] = np.nan
     found = slam_differences.differences({"borno_8": of})
-    assert found[found["method"] == "censi"]["difference_m"].to_numpy() == pytest.approx(40.0)
+    assert found[found["method"] == "censi"]["difference_m"].to_numpy() == pytest.approx(-40.0)
     assert set(found["method"]) == set(OFF) - {"network"}
 
 
@@ -65,8 +65,8 @@ def test_a_method_far_behind_stands_at_the_border_with_its_number():
     figure = method_plots.slam_differences(slam_differences.differences({"borno_8": rows(noise=0.01)}))
     assert len(figure.axes) == len(slam_differences.MEASURES)
     for axes in figure.axes:
-        assert axes.get_xlim()[1] < 10
-        assert [text.get_text() for text in axes.texts] == ["+40"]
+        assert axes.get_xlim()[0] > -10
+        assert [text.get_text() for text in axes.texts] == ["-40"]
 
 
 def test_a_survey_without_pairs_leaves_its_panel_empty_and_moves_no_other():

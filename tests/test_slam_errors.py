@@ -48,18 +48,43 @@ def test_without_truth_or_pairs_nothing_is_known():
     assert np.isnan(slam_errors.relative_error(none, BENT, GRAPH.truth))
 
 
+def claims(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return covariances (n, 2, 2) and poses (n, 4, 4) that err by them, but the first, about the identity."""
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(count, 2, 2))
+    q, poses = A @ np.swapaxes(A, 1, 2) + 0.1 * np.eye(2), np.tile(np.eye(4), (count, 1, 1))
+    poses[1:, :2, 3] = np.einsum("nij,nj->ni", np.linalg.cholesky(q), rng.normal(size=(count, 2)))[1:]
+    return q, poses
+
+
 def test_pose_nees_is_one_where_the_covariances_are_right():
-    rng, n = np.random.default_rng(1), 5000
-    A = rng.normal(size=(n, 2, 2))
-    q = A @ np.swapaxes(A, 1, 2) + 0.1 * np.eye(2)
-    reference, poses = np.tile(np.eye(4), (2, n, 1, 1))
-    poses[:, :2, 3] = np.einsum("nij,nj->ni", np.linalg.cholesky(q), rng.normal(size=(n, 2)))
+    q, poses = claims(5000)
+    reference = np.tile(np.eye(4), (5000, 1, 1))
     assert slam_errors.pose_nees(q, poses, reference) == pytest.approx(1.0, abs=0.06)
     assert slam_errors.pose_nees(4 * q, poses, reference) == pytest.approx(0.25, abs=0.015)
 
 
+def test_a_first_submap_held_where_it_truly_is_not_tells_nothing_of_the_solution():
+    q, poses = claims(200)
+    reference = np.tile(np.eye(4), (200, 1, 1))
+    reference[:, :2, 3] = np.random.default_rng(2).normal(0, 50, (200, 2))
+    poses[:, :2, 3] += reference[:, :2, 3]
+    elsewhere = pose.matrix(np.array([0.16, -3.0, 1.0]), 0.02)  # of the truth, which the graph's first pose is off
+    expected = slam_errors.pose_nees(q, poses, reference)
+    assert slam_errors.pose_nees(q, poses, elsewhere @ reference) == pytest.approx(expected)
+    assert 0.8 < expected < 1.2
+
+
+def test_one_submap_tied_to_a_held_one_does_not_make_the_number():
+    q, poses = claims(200)
+    reference = np.tile(np.eye(4), (200, 1, 1))
+    expected = slam_errors.pose_nees(q, poses, reference)
+    poses[53, 0, 3] += 0.16
+    q[53] = 1e-6 * np.eye(2)
+    assert slam_errors.pose_nees(q, poses, reference) == pytest.approx(expected, rel=0.05)
+
+
 def test_the_held_first_submap_does_not_count():
-    q, reference = np.tile(np.eye(2), (3, 1, 1)), np.tile(np.eye(4), (3, 1, 1))
-    poses = reference.copy()
-    poses[0, 0, 3] = 100.0
-    assert slam_errors.pose_nees(q, poses, reference) == 0.0
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    q = np.array([1e-12 * np.eye(2), np.eye(2), np.eye(2)])
+    assert slam_errors.pose_nees(q, poses, pose.matrix(np.array([100.0, 0.0, 0.0]), 0.0) @ poses) == 0.0

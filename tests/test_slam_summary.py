@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from pointnetkl import terrain
-from pointnetkl.reporting import results, slam_summary, slam_tables, summary
+from pointnetkl.reporting import results, slam_story, slam_summary, slam_tables, summary
 
 SETTINGS = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DRAWS, MANY, FEW = 8, 40, 5
@@ -62,7 +62,15 @@ def test_pairing_tells_apart_what_draws_would_hide():
     assert high - low > 20 * 0.1  # the intervals of both methods overlap nearly whole
     assert constant["network_minus_m"] == pytest.approx(-0.1, abs=0.02)
     assert constant["network_p"] < 1e-4
-    assert slam_summary.summarise("toy", of(rows(better_m=-0.1)), SETTINGS)["constant"]["network_p"] > 0.99
+    low, high = constant["network_minus_ci95_m"]
+    assert low < constant["network_minus_m"] < high < 0
+
+
+def test_where_network_is_worse_the_interval_says_so():
+    worse = slam_summary.summarise("toy", of(rows(better_m=-0.1)), SETTINGS)["constant"]
+    assert worse["network_p"] > 0.99
+    for which in ("", "_se2", "_relative"):
+        assert 0 < worse[f"network_minus{which}_ci95_m"][0] < worse[f"network_minus{which}_m"]
 
 
 def test_a_twin_of_network_is_no_better_and_no_test_says_so():
@@ -113,5 +121,21 @@ def test_the_tables_have_a_row_a_method_and_a_row_a_variant():
     over = slam_tables.draws({"toy": FOUND}, DATASETS).frame
     assert over["method"].tolist() == ["network", "constant", "twin"]
     assert over["network_p"].tolist()[0] is None
+    constant = over[over["method"] == "constant"].iloc[0]
+    for which in ("", "_se2", "_relative"):
+        limits = constant[f"ci_low_minus{which}"], constant[f"ci_high_minus{which}"]
+        assert limits == FOUND["constant"][f"network_minus{which}_ci95_m"]
+    assert list(over.columns).index("ci_high_minus") == list(over.columns).index("network_p") - 1
     both = slam_tables.variants({"toy": slam_summary.variants(TEST)}, DATASETS).frame
     assert both["variant"].tolist() == ["table", "authors"]
+
+
+@pytest.mark.parametrize(("better_m", "said"), [(0.1, "better"), (-0.1, "worse")])
+def test_the_page_says_whether_network_is_better_by_the_interval(better_m: float, said: str):
+    found = slam_summary.summarise("toy", of(rows(better_m=better_m)), SETTINGS)
+    shown = {"table_4": [slam_tables.draws({"toy": found}, DATASETS)], "table_4_authors": [], "slam_variants": []}
+    paragraphs = slam_story.sections(shown)[0].paragraphs
+    assert sum(text.startswith("By truth_") and f"), {said}." in text for text in paragraphs) == 2
+    one = slam_summary.summarise("toy", of(TEST.slam[TEST.slam["draw"] == 0]), SETTINGS)
+    shown["table_4"] = [slam_tables.draws({"toy": one}, DATASETS)]
+    assert not any(text.startswith("By truth_") for text in slam_story.sections(shown)[0].paragraphs)

@@ -9,7 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import artifacts, survey
+from pointnetkl import artifacts, submap, survey
+from pointnetkl.covariance import table
+from pointnetkl.slam import survey_graph
+from toy_survey import graph
 
 ROOT = Path(__file__).parents[1]
 
@@ -40,8 +43,8 @@ def short_survey(tmp_path: Path) -> Path:
     soundings = pd.DataFrame({"ping": np.repeat(range(20), 9), "beam": np.tile(range(9), 20)}).assign(
         x_m=lambda t: t["ping"].astype(float), y_m=lambda t: 3.0 * t["beam"], z_m=-30.0, quality=0
     )
-    for name, table, schema in (("pings", pings, survey.PINGS), ("soundings", soundings, survey.SOUNDINGS)):
-        artifacts.write_table(tmp_path / f"survey/{name}.parquet", table, schema, {})
+    for name, rows, schema in (("pings", pings, survey.PINGS), ("soundings", soundings, survey.SOUNDINGS)):
+        artifacts.write_table(tmp_path / f"survey/{name}.parquet", rows, schema, {})
     return tmp_path / "survey"
 
 
@@ -89,3 +92,68 @@ def test_a_kind_of_model_that_there_is_not(parameters: Path, tmp_path: Path):
     folders = ("--training", tmp_path, "--checkpoints", tmp_path)
     said = stage("train", "network", *folders, *outs, "--params", parameters)
     assert f"{parameters}: models.network.kind is 'foo', must be pointnetkl or mean_field" in said
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the graph, submaps and covariances of survey toy, and those of a survey of as many submaps."""
+    folder, (submaps, made) = tmp_path_factory.mktemp("toy"), graph()
+    made_with = {"spacing_m": 0.8, "graph": {"cell_factor": 5.0, "coverage": 0.6}}
+    artifacts.write_arrays(folder / "toy.npz", survey_graph.to_arrays(made), made_with)
+    artifacts.write_arrays(folder / "bare.npz", survey_graph.to_arrays(made), {})
+    for name in ("toy", "other"):
+        artifacts.write_table(folder / f"{name}.parquet", submap.to_table(submaps), submap.POINTS, {"survey": name})
+        rows = table.from_matrices(name, "network", made.number, np.tile(np.eye(2), (len(made.number), 1, 1)))
+        artifacts.write_table(folder / f"{name}_q.parquet", rows, table.SCHEMA, {"survey": name})
+    return folder
+
+
+ELSEWHERE = "is of survey other, not of toy; give the files of one survey"
+Q_ELSEWHERE = "has covariances of survey other, not of toy; give the files of one survey"
+
+
+@pytest.mark.parametrize(
+    ("name", "survey_name", "spoilt", "says"),
+    [
+        ("slam", "toy", {"predicted": "other_q.parquet"}, f"other_q.parquet: {Q_ELSEWHERE}"),
+        ("slam", "toy", {"submaps": "other.parquet"}, f"other.parquet: {ELSEWHERE}"),
+        ("slam", "other", {}, "toy.npz: is of survey toy, not of other; give the files of one survey"),
+        ("calibrate", "toy", {"submaps": "other.parquet"}, f"other.parquet: {ELSEWHERE}"),
+        ("stress", "toy", {"estimated": "other_q.parquet"}, f"other_q.parquet: {Q_ELSEWHERE}"),
+        (
+            "stress",
+            "toy",
+            {"graph": "bare.npz"},
+            "bare.npz: does not say its graph.cell_factor; run dvc repro graph@toy",
+        ),
+        ("graph", "toy", {"labels": "other_q.parquet"}, f"other_q.parquet: {ELSEWHERE}"),
+    ],
+)
+def test_files_that_do_not_belong_together(
+    toy: Path, tmp_path: Path, name: str, survey_name: str, spoilt: dict, says: str
+):
+    assert stage(name, survey_name, *arguments(name, toy, tmp_path, **spoilt)) == f"error: {toy}/{says}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_graph_whose_registrations_find_fewer_numbers_than_are_asked_for(toy: Path, parameters: Path, tmp_path: Path):
+    parameters.write_text(parameters.read_text().replace("  dof: xy\n", "  dof: xyyaw\n"))
+    said = stage("calibrate", "toy", *arguments("calibrate", toy, tmp_path), "--params", parameters)
+    assert "toy.npz: its registrations find 2 numbers" in said
+    assert said.endswith("run dvc repro graph@toy")
+
+
+def arguments(name: str, toy: Path, out: Path, **spoilt: str) -> list[str]:
+    """Return a stage's arguments: what it reads from a folder, some of it spoilt, and what it writes to another."""
+    q, points = "toy_q.parquet", "toy.parquet"
+    read, written = {
+        "graph": ({"poses": points, "labels": q, "pings": points, "truth": points}, ["graph"]),
+        "calibrate": ({"graph": "toy.npz", "model": "none"}, ["closures", "covariances"]),
+        "slam": (
+            {"graph": "toy.npz", "estimated": q, "predicted": q, "measured": q, "pings": points},
+            ["rows", "trajectories", "consistency", "map-thinning"],
+        ),
+        "stress": ({"graph": "toy.npz", "estimated": q, "predicted": q}, ["rows", "gate"]),
+    }[name]
+    files = [(key, toy / file) for key, file in ({"submaps": points} | read | spoilt).items()]
+    return [word for key, path in [*files, *((key, out / key) for key in written)] for word in (f"--{key}", str(path))]

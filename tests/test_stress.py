@@ -2,24 +2,26 @@
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl import artifacts
-from pointnetkl.slam import false_closures, loop_gate, pose_graph, robust, stress
+from pointnetkl import artifacts, settings
+from pointnetkl.slam import false_closures, loop_gate, pose_graph, protocol, robust, stress
 from pointnetkl.slam.pose_graph import PoseGraph
 from toy_survey import SETTINGS as GRAPH_SETTINGS
 from toy_survey import SPACING, graph
 
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
 THRESHOLDS = robust.Thresholds(1.345, 1.0, 1.0, 0.99, 2.0)
-SETTINGS = stress.Settings(5, ["good", "tight"], [0.0, 0.1, 0.25], 3, 1, 0.03, 0.0, THRESHOLDS)
+SETTINGS = stress.Settings(5, ["good", "tight"], [0.0, 0.1, 0.25], 3, 1, THRESHOLDS)
 GOOD = {s.number: 0.01 * np.eye(2) for s in SUBMAPS}
 METHODS = {"good": GOOD, "tight": {n: 1e-4 * q for n, q in GOOD.items()}}
 COVERAGES = loop_gate.coverages([s.points for s in SUBMAPS], GRAPH.truth, GRAPH_SETTINGS.cell_factor * SPACING)
-CASE = stress.Case(GRAPH, METHODS, false_closures.pairs_apart(COVERAGES), SETTINGS)
+CASE = stress.Case(GRAPH, METHODS, false_closures.pairs_apart(COVERAGES), 0.03, SETTINGS)
+PARAMS = Path(__file__).parents[1] / "params.yaml"
 ERRORS = ["rmse_xyz_m", "truth_rmse_xyz_m", "truth_relative_m"]
 
 
@@ -40,7 +42,7 @@ def test_without_false_closures_and_kernel_it_is_the_plain_optimiser(rows: pd.Da
     covariances = pose_graph.closure_covariances(
         np.tile(0.01 * np.eye(2), (len(closures.registration), 1, 1)), GRAPH.closure_noise
     )
-    dead_reckoning = stress.corrupt(GRAPH, 1, SETTINGS)
+    dead_reckoning = stress.corrupt(CASE, 1)
     initial = pose_graph.chain(GRAPH.gt[0], dead_reckoning)
     plain = PoseGraph(GRAPH.gt[0], closures.edges, covariances).optimise(
         dead_reckoning, GRAPH.dead_reckoning_noise, initial
@@ -105,7 +107,7 @@ def test_each_repetition_has_its_own_false_closures_and_noise_and_each_run_the_s
     first, again, other = (stress.with_false(CASE, r)[-1][1] for r in (0, 0, 2))
     assert (first.measured == again.measured).all()
     assert not np.array_equal(first.target, other.target)
-    assert not np.allclose(stress.corrupt(GRAPH, 0, SETTINGS), stress.corrupt(GRAPH, 1, SETTINGS))
+    assert not np.allclose(stress.corrupt(CASE, 0), stress.corrupt(CASE, 1))
 
 
 def test_the_table_does_not_depend_on_the_number_of_workers(
@@ -141,7 +143,7 @@ def test_a_run_that_fails_is_a_row_of_nulls_and_the_others_go_on(monkeypatch: py
 def test_a_survey_without_truth_or_closures_still_has_rows_of_share_0():
     submaps, line = graph(1, 3, known=False)
     methods = {"good": {s.number: 0.01 * np.eye(2) for s in submaps}}
-    rows = stress.benchmark(stress.Case(line, methods, CASE.apart[:0], SETTINGS))
+    rows = stress.benchmark(stress.Case(line, methods, CASE.apart[:0], 0.03, SETTINGS))
     assert set(rows["share"]) == {0.0}
     assert rows["truth_rmse_xyz_m"].isna().all()
     assert (rows["accepted_true"] == 0).all()
@@ -153,6 +155,16 @@ def test_a_method_that_nobody_estimated_is_named():
         stress.chosen({"good": GOOD}, SETTINGS, "toy")
 
 
+def test_the_noise_is_not_that_of_the_benchmark_of_covariances():
+    slam, chosen = settings.read(PARAMS, "slam", protocol.Settings), settings.read(PARAMS, "stress", stress.Settings)
+    case = dataclasses.replace(CASE, yaw_sigma_rad=slam.yaw_sigma_rad, settings=chosen)
+    of_slam = [protocol.corrupt(GRAPH, draw, repetition, slam) for draw in range(10) for repetition in range(10)]
+    for repetition in range(10):
+        noisy = stress.corrupt(case, repetition)
+        assert np.abs(noisy - pose_graph.between(GRAPH.gt)).max() > 1e-3
+        assert not any(np.allclose(noisy, other, atol=1e-6) for other in of_slam)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -160,12 +172,11 @@ def test_a_method_that_nobody_estimated_is_named():
         ("methods", []),
         ("methods", ["good", "good"]),
         ("shares", [0.0, 1.0]),
+        ("shares", [0.0, 0.999999]),
         ("shares", [0.5, 0.1]),
         ("shares", []),
         ("repetitions", 0),
         ("corrupted_repetitions", -1),
-        ("yaw_sigma_rad", -0.1),
-        ("floor_m2", -1e-6),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(name: str, value: object):

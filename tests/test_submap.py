@@ -64,3 +64,17 @@ def test_rows_that_are_not_sorted_by_submap_are_refused(tmp_path: Path):
     artifacts.write_table(tmp_path / "s.parquet", submap.to_table([make(3), make(0)]), submap.POINTS, {})
     with pytest.raises(SubmapError, match="not sorted"):
         list(submap.read_each("small", tmp_path / "s.parquet"))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_point_that_is_nowhere_is_refused_with_its_submap(tmp_path: Path, bad: float):
+    spoilt = make(3)
+    spoilt.second[4, 2] = bad
+    artifacts.write_table(tmp_path / "s.parquet", submap.to_table([make(0), spoilt]), submap.POINTS, {})
+    for read in (
+        lambda path: submap.from_table("small", artifacts.read_table(path, submap.POINTS)),
+        lambda path: submap.read("small", path, 3),
+        lambda path: list(submap.read_each("small", path)),
+    ):
+        with pytest.raises(SubmapError, match="small: submap 3 has a point that is not finite"):
+            read(tmp_path / "s.parquet")

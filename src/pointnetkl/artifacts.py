@@ -116,6 +116,18 @@ def table_metadata(path: Path) -> dict[str, Any]:
     return _object(path, stored)
 
 
+def require_survey(survey: str, *paths: Path) -> None:
+    """Refuse tables of another survey: numbers of submaps alone would not tell.
+
+    Raises:
+        ArtifactError: the parameters stored with one name another survey, or it is missing or damaged.
+    """
+    for path in paths:
+        of = table_metadata(path).get("survey", survey)
+        if of != survey:
+            raise ArtifactError(f"{path}: is of survey {of}, not of {survey}; give the files of one survey")
+
+
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
     """Write named arrays to one npz file, and the parameters that made them as its `metadata`."""
     buffer = io.BytesIO()

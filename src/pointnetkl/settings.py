@@ -53,6 +53,17 @@ def require_positive(settings: object, *names: str) -> None:
             raise ValueError(f"{name} is {getattr(settings, name)!r}, must be above zero")
 
 
+def require_within(settings: object, lowest: float, highest: float, *names: str) -> None:
+    """Refuse, from a dataclass's `__post_init__`, numbers out of a range that holds whatever makes sense.
+
+    Raises:
+        ValueError: one of the named fields is below `lowest` or above `highest`.
+    """
+    for name in names:
+        if not lowest <= getattr(settings, name) <= highest:
+            raise ValueError(f"{name} is {getattr(settings, name)!r}, must be from {lowest:g} to {highest:g}")
+
+
 def require_seed(seed: int) -> None:
     """Refuse, from a dataclass's `__post_init__`, a seed that NumPy would refuse.
 

@@ -49,7 +49,11 @@ class Submap:
 
 
 def from_table(survey: str, points: pd.DataFrame) -> list[Submap]:
-    """Return the submaps of a POINTS table, by number."""
+    """Return the submaps of a POINTS table, by number.
+
+    Raises:
+        SubmapError: a submap has a number below 0, or a coordinate that is not finite.
+    """
     return [_submap(survey, int(number), rows) for number, rows in points.groupby("submap", sort=True)]
 
 
@@ -57,7 +61,7 @@ def read(survey: str, path: Path, number: int) -> Submap:
     """Return one submap of a survey's file of POINTS, reading little else of it.
 
     Raises:
-        SubmapError: the file has no such submap.
+        SubmapError: the file has no such submap, or it is refused as by from_table.
         ArtifactError: the file is missing or damaged.
     """
     rows = artifacts.read_table(path, POINTS, only=[("submap", "==", number)])
@@ -70,7 +74,7 @@ def read_each(survey: str, path: Path) -> Iterator[Submap]:
     """Yield the submaps of a survey's file of POINTS, by number, with only a few of them in memory.
 
     Raises:
-        SubmapError: the rows are not sorted by submap.
+        SubmapError: the rows are not sorted by submap, or one is refused as by from_table.
         ArtifactError: the file is missing or damaged.
     """
     rest = POINTS.empty_table().to_pandas()
@@ -98,4 +102,6 @@ def _submap(survey: str, number: int, rows: pd.DataFrame) -> Submap:
     if number < 0:
         raise SubmapError(f"{survey}: submap {number} has a number below 0; run dvc repro segment@{survey}")
     xyz, part = rows[["x_m", "y_m", "z_m"]].to_numpy(np.float64), rows["part"].to_numpy()
+    if not np.isfinite(xyz).all():
+        raise SubmapError(f"{survey}: submap {number} has a point that is not finite; run dvc repro segment@{survey}")
     return Submap(survey, number, xyz[part == WHOLE], xyz[part == FIRST], xyz[part == SECOND])

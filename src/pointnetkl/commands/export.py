@@ -37,41 +37,41 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and print what is in them."""
     # some seconds, which --help need not take
-    from pointnetkl import artifacts, settings
+    from pointnetkl import settings
     from pointnetkl.exchange import g2o, graph_exchange, tum
-    from pointnetkl.slam import pose_graph, protocol, survey_graph
+    from pointnetkl.slam import graph_file, pose_graph, protocol, survey_graph
 
+    shared.require_apart(arguments.out, arguments.tum)
     how = settings.read(arguments.params, "slam", protocol.Settings)
-    survey = survey_graph.from_arrays(artifacts.read_arrays(arguments.graph)[0])
-    q = shared.covariances(arguments.covariances, arguments.method, how.floor_m2)
+    survey = graph_file.read(arguments.graph).graph
+    q = shared.covariances(arguments.covariances, arguments.method, how.floor_m2, survey.survey)
     poses, dead_reckoning = survey.gt, pose_graph.between(survey.gt)
     if arguments.corrupted is not None:
         if arguments.corrupted < 0:
             raise shared.CommandError(f"--corrupted is {arguments.corrupted}, must be 0 or above")
         dead_reckoning = protocol.corrupt(survey, 0, arguments.corrupted, how)
         poses = pose_graph.chain(survey.gt[0], dead_reckoning)
-    weight = protocol.weights(survey.closures.registration, arguments.edges or how.edges)
-    origin = f"{survey.survey}, {arguments.method}"
-    q_edges = survey_graph.edge_covariances(survey.number, q, survey.closures, origin) * weight[:, None, None]
-    full = pose_graph.closure_covariances(q_edges, survey.closure_noise, survey.closures.levers)
+    origin, edges = f"{survey.survey}, {arguments.method}", arguments.edges or how.edges
+    full = survey_graph.full_covariances(survey.number, q, survey.closures, survey.closure_noise, origin, edges)
     noise, closures = survey.dead_reckoning_noise, survey.closures.edges
     graph = graph_exchange.join(survey.number, poses, dead_reckoning, noise, closures, full)
+    times, says = _times(arguments.poses, survey)
     g2o.write(arguments.out, graph, arguments.dialect)
     if arguments.tum:
-        times, says = _times(arguments.poses, survey.number)
         tum.write(arguments.tum, times, poses, says)
     counts = f"{len(dead_reckoning)} edges of dead reckoning, {len(full)} loop closures"
     print(f"{survey.survey}: {len(poses)} submaps, {counts}")
     return 0
 
 
-def _times(path: Path | None, number: np.ndarray) -> tuple[np.ndarray, str]:
+def _times(path: Path | None, survey: Any) -> tuple[np.ndarray, str]:
     """Return each submap's time (n,), and what it is: seconds where a table of poses has them, else its number."""
     from pointnetkl import artifacts, submap
 
     if path is None:
-        return number.astype(np.float64), "a submap's number stands for its time"
+        return survey.number.astype(np.float64), "a submap's number stands for its time"
+    artifacts.require_survey(survey.survey, path)
     time_s = artifacts.read_table(path, submap.POSES).set_index("submap")["time_s"]
-    if missing := [n for n in number.tolist() if n not in time_s.index]:
+    if missing := [n for n in survey.number.tolist() if n not in time_s.index]:
         raise shared.CommandError(f"{path}: has no submap {missing[0]}; give the poses of the graph's survey")
-    return time_s.loc[number].to_numpy(np.float64), "seconds"
+    return time_s.loc[survey.number].to_numpy(np.float64), "seconds"

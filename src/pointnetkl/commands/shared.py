@@ -29,21 +29,32 @@ def parser(commands: Any, name: str, says: str, description: str, epilog: str) -
     return made
 
 
-def covariances(paths: Sequence[Path], method: str, floor: float = 0.0) -> dict[int, np.ndarray]:
+def require_apart(*paths: Path | None) -> None:
+    """Refuse to write one file over another; None is no file.
+
+    Raises:
+        CommandError: two of the paths are one.
+    """
+    given = [path.resolve() for path in paths if path is not None]
+    if twice := [path for i, path in enumerate(given) if path in given[:i]]:
+        raise CommandError(f"{twice[0]}: two files are to be written there; give each a name of its own")
+
+
+def covariances(
+    paths: Sequence[Path], method: str, floor: float = 0.0, survey: str | None = None
+) -> dict[int, np.ndarray]:
     """Return a method's Q (M, M) by submap, of the tables that have it, with a floor, m^2, on each.
 
     Raises:
         CommandError: no table has the method, or the tables are of several surveys.
-        ArtifactError, CovarianceError, SlamError: a table is damaged, or has a Q that is none, or one twice.
+        ArtifactError, CovarianceError, SlamError: a table is damaged or not of the survey, or has a Q that is none, or
+            one twice.
     """
-    import pandas as pd
-
-    from pointnetkl import artifacts
     from pointnetkl.covariance import table
     from pointnetkl.slam import protocol
 
     named = ", ".join(map(str, paths))
-    rows = pd.concat([artifacts.read_table(path, table.SCHEMA, also=table.YAW) for path in paths], ignore_index=True)
+    rows = table.read(paths, survey)
     if method not in (known := sorted(set(rows["method"]))):
         raise CommandError(f"{named}: has no method {method}, but {', '.join(known) or 'nothing'}")
     rows = rows[rows["method"] == method]

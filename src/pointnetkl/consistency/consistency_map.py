@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, pose
+from pointnetkl import artifacts
 from pointnetkl.consistency.map_cells import Cells
 from pointnetkl.errors import PointNetKLError
+from pointnetkl.slam import pose_table
 
 _LARGEST = 1 << 28  # cells of a raster, a gigabyte
 # "local" of a survey that does not say where it is: a GeoTIFF can, in words
@@ -58,7 +59,10 @@ def of_trajectories(trajectories: pd.DataFrame, cells_at: Callable[[np.ndarray],
 
     Levelled poses: a solution's roll and pitch, some ten-thousandths of a radian, are not in the table.
     """
-    return {str(which): cells_at(_poses(rows)) for which, rows in trajectories.groupby("which", sort=False)}
+    return {
+        str(which): cells_at(pose_table.poses(rows.sort_values("submap")))
+        for which, rows in trajectories.groupby("which", sort=False)
+    }
 
 
 def extent(every: Iterable[Cells]) -> Extent:
@@ -134,11 +138,6 @@ def read(path: Path, wanted: Collection[str]) -> Rasters:
         raise ConsistencyError(f"{path}: is not a GeoTIFF that can be read ({reason}); run dvc repro slam") from error
     found = {name: bands[name] for name in wanted if name in bands}
     return Rasters(found, (box.left, box.right, box.bottom, box.top))
-
-
-def _poses(rows: pd.DataFrame) -> np.ndarray:
-    columns = rows.sort_values("submap")[["x_m", "y_m", "z_m", "yaw_rad"]].to_numpy()
-    return np.array([pose.matrix(each[:3], each[3]) for each in columns])
 
 
 def _crs(path: Path, name: str) -> Any:

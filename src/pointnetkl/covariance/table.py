@@ -3,12 +3,14 @@
 Q is (M, M), of errors in x, y (M = 2) or in x, y and yaw (M = 3), which adds the columns of YAW.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from pointnetkl import artifacts
 from pointnetkl.covariance import gaussian
 
 _Q = (("q_xx_m2", 0, 0), ("q_xy_m2", 0, 1), ("q_yy_m2", 1, 1))
@@ -27,6 +29,22 @@ YAW = pa.schema([(name, pa.float64()) for name, _, _ in _Q_YAW])  # w is yaw
 def schema(dimensions: int) -> pa.Schema:
     """Return the table's schema for covariances of M dimensions, 2 or 3."""
     return SCHEMA if dimensions == 2 else pa.schema([*SCHEMA, *YAW])
+
+
+def read(paths: Sequence[Path], survey: str | None = None) -> pd.DataFrame:
+    """Return the rows of files of covariances, joined: of this survey, where one is given.
+
+    Raises:
+        CovarianceError: a file has covariances of another survey.
+        ArtifactError: a file is missing or damaged.
+    """
+    tables = [artifacts.read_table(path, SCHEMA, also=YAW) for path in paths]
+    for path, rows in zip(paths, tables, strict=True):
+        if survey is not None and (others := sorted(set(rows["survey"]) - {survey})):
+            raise gaussian.CovarianceError(
+                f"{path}: has covariances of survey {others[0]}, not of {survey}; give the files of one survey"
+            )
+    return pd.concat(tables, ignore_index=True)
 
 
 def from_matrices(survey: str, method: str, submaps: Iterable[int], q: np.ndarray) -> pd.DataFrame:

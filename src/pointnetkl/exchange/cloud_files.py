@@ -73,7 +73,13 @@ def _viewpoint(path: Path, content: bytes) -> np.ndarray:
     said = re.search(rb"^VIEWPOINT[ \t]+(.*?)[ \t\r]*$", header[0], re.MULTILINE) if header else None
     if not said:
         raise CloudFileError(f"{path}: holds no pose; write the submap as PCD with its pose as VIEWPOINT")
-    x, y, z, qw, qx, qy, qz = text_lines.numbers(said[1].decode().split())
+    words = said[1].decode().split()
+    if len(words) != 7:
+        raise CloudFileError(f"{path}: VIEWPOINT has {len(words)} numbers, must have 7: x y z qw qx qy qz")
+    try:
+        x, y, z, qw, qx, qy, qz = text_lines.numbers(words)
+    except ValueError as error:
+        raise CloudFileError(f"{path}: VIEWPOINT is no pose: {error}") from error
     orientation = np.array([[qx, qy, qz, qw]])
     if not quaternion.is_unit(orientation)[0]:
         raise CloudFileError(

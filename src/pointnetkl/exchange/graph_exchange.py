@@ -11,8 +11,6 @@ from pointnetkl.exchange import g2o
 from pointnetkl.slam import pose_graph
 from pointnetkl.slam.pose_graph import DeadReckoningNoise, Edges
 
-_PLACES = np.array([3, 4, 2])  # of x, y and yaw in a tangent vector
-
 
 class GraphExchangeError(PointNetKLError):
     """A graph and covariances do not belong together."""
@@ -60,7 +58,7 @@ def with_covariances(graph: g2o.Graph, q: Mapping[int, np.ndarray]) -> g2o.Graph
     covariances = inverse(graph.information[closing])
     for covariance, edge in zip(covariances, closing.tolist(), strict=True):
         in_source = _of_edge(graph, edge, q)
-        places = _PLACES[: len(in_source)]
+        places = pose_graph.XY_YAW[: len(in_source)]
         covariance[places] = covariance[:, places] = 0.0
         covariance[places[:, None], places] = in_source
     information = graph.information.copy()

@@ -9,7 +9,7 @@ from pointnetkl import gicp, pose
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.exchange import cloud_files, g2o, graph_exchange
 from pointnetkl.gicp import neighbours
-from pointnetkl.slam import loop_closure, pose_graph, protocol, survey_graph
+from pointnetkl.slam import loop_closure, pose_graph, survey_graph
 from pointnetkl.slam.survey_graph import Closures
 from pointnetkl.submap import Submap
 
@@ -75,8 +75,6 @@ def connect(
     """
     found = loop_closure.close(submaps, poses, None, spacing(submaps), settings, registration)
     number = np.array([s.number for s in submaps], np.int64)
-    weight = protocol.weights(found.registration, edges)[:, None, None]
-    q_edges = survey_graph.edge_covariances(number, q, found, "submaps") * weight
-    full = pose_graph.closure_covariances(q_edges, settings.loop_closure, found.levers)
+    full = survey_graph.full_covariances(number, q, found, settings.loop_closure, "submaps", edges)
     along = pose_graph.between(poses)
     return graph_exchange.join(number, poses, along, settings.dead_reckoning, found.edges, full), found

@@ -8,7 +8,6 @@ from pointnetkl.slam import authors_slam
 
 # m^2, of x and y: the block that the authors' program has for their Antarctic survey
 ANTARCTIC = np.array([[3.35, -3.13], [-3.13, 5.45]])
-_RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # in sigmas, of the ellipse that holds 95 % of a Gaussian in the plane
 _TURN = np.linspace(0, 2 * np.pi, 181)
 
 
@@ -22,7 +21,7 @@ def whitening(q: np.ndarray) -> Figure:
     plan, cost = figure.subplots(1, 2)
     u = np.stack([np.cos(_TURN), np.sin(_TURN)])
     for name, (each, colour, style) in kinds.items():
-        plan.plot(*(_RADIUS * np.linalg.cholesky(each) @ u), style, color=colour, linewidth=2, label=name)
+        plan.plot(*(plots.RADIUS_95 * np.linalg.cholesky(each) @ u), style, color=colour, linewidth=2, label=name)
         cost.plot(np.rad2deg(_TURN), np.sum(u * np.linalg.solve(each, u), axis=0), style, color=colour, linewidth=2)
         _, vectors = np.linalg.eigh(each)
         plan.axline((0, 0), vectors[:, -1], color=colour, linewidth=0.8, linestyle=":")

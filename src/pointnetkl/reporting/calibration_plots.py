@@ -64,7 +64,7 @@ _SAID = ("loop closures of the graph", "the same with every submap where it trul
 
 
 def ratios(every: Mapping[str, Closures]) -> Figure:
-    """Draw how much wider Q_ij is than Q_i, of the labels and of copy split, against overlap and patchiness."""
+    """Draw the root trace of Q_ij over that of Q_i, of the labels and of copy split, against overlap and patchiness."""
     found = {name: of for name, of in every.items() if len(closures.ratios(of, GOLD))}
     if not found:
         return _nothing()
@@ -80,7 +80,7 @@ def ratios(every: Mapping[str, Closures]) -> Figure:
             axes.grid(alpha=0.3)
             if method == SPLIT:
                 axes.set_xlabel(label, fontsize=9)
-        line[0].set_ylabel(f"sigma of Q_ij over that of Q_i,\nQ_i: {_label(method)}", fontsize=9)
+        line[0].set_ylabel(f"root trace of Q_ij over that of Q_i,\nQ_i: {_label(method)}", fontsize=9)
     plots.plain_log(grid[0, 0], "y")
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
@@ -147,7 +147,7 @@ def _order(table: pd.DataFrame) -> list[str]:
 
 
 def _label(method: str) -> str:
-    return {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair)"}.get(method, method)
+    return {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair, an oracle)"}.get(method, method)
 
 
 def _legend(grid: np.ndarray) -> tuple[list[Artist], list[str]]:

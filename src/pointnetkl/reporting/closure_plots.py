@@ -12,7 +12,6 @@ from matplotlib.patches import Polygon
 from pointnetkl import paper
 from pointnetkl.reporting import families, maps, plots, sheet
 
-_RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # in sigmas, of the ellipse that holds 95 % of a Gaussian in the plane
 _CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 48, endpoint=False)), np.sin(t)])
 _REACH = 0.03  # of the map's longer side, that the larger ellipses have as semi-axis
 _GAP_IN, _LINE_IN, _ZOOMS = 0.12, 0.2, 8
@@ -51,13 +50,13 @@ def ellipses(q: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Return the 95 % ellipses in the map frame, (r, k, 2) metres, of covariances (r, 2, 2) of turned submaps."""
     c, s = np.cos(yaw), np.sin(yaw)
     R_map_submap = np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
-    return np.swapaxes(_RADIUS * R_map_submap @ np.linalg.cholesky(q) @ _CIRCLE, 1, 2)
+    return np.swapaxes(plots.RADIUS_95 * R_map_submap @ np.linalg.cholesky(q) @ _CIRCLE, 1, 2)
 
 
 def inside(error: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return which errors (r, 2) the 95 % ellipses of q (r, 2, 2) hold."""
     whitened = np.linalg.solve(np.linalg.cholesky(q), error[..., None])[..., 0]
-    return np.asarray(np.linalg.norm(whitened, axis=1) <= _RADIUS)
+    return np.asarray(np.linalg.norm(whitened, axis=1) <= plots.RADIUS_95)
 
 
 def _survey(figure: Figure, name: str, of: Closures, place: tuple[float, float], corners: np.ndarray) -> None:
@@ -112,7 +111,7 @@ def _zoom(axes: Axes, outlines: Mapping[str, np.ndarray], error: np.ndarray, yaw
 def _magnification(of: Closures, corners: np.ndarray) -> float:
     largest = np.sqrt([np.linalg.eigvalsh(q)[:, -1] for q in of.covariances.values()])
     reach = _REACH * float((corners[1] - corners[0]).max())
-    return max(1.0, sheet.round_below(reach / (_RADIUS * float(np.quantile(largest, 0.98)))))
+    return max(1.0, sheet.round_below(reach / (plots.RADIUS_95 * float(np.quantile(largest, 0.98)))))
 
 
 def _corners(of: Closures) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The page's words on loop closures: does Q, made from one submap, tell the truth of them, and what follows."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -26,15 +27,21 @@ def section(shown: Mapping[str, Sequence[Block]], copies: Mapping[str, str]) -> 
             " variable, which heavy tails leave alone: 1 is right.",
             "A loop closure errs because its registration does, and because the map it is registered to, and the pose"
             " it starts from, are of GT, which errs too. placed_* is of registrations from the same starts with every"
-            " submap where it truly lies: only the registration errs. given_m is how far off GT has S_i as seen from"
-            " its targets: over flat ground nothing corrects that, and no Q made from terrain can know it. heading_m"
-            " is the error that GT's yaw alone makes of it, by its lever to the common ground.",
+            " submap where it truly lies (where GT has it, if that is not known): only the registration errs."
+            " given_m is how far off GT has S_i as seen from its targets: over flat ground nothing"
+            " corrects that, and no Q made from terrain can know it. heading_m is the error that GT's yaw alone makes"
+            " of it, by its lever to the common ground.",
+            "An error is a registration's, the mean of its edges'. The graph takes each edge, which errs by where GT"
+            " has that target among the others too: there every Q falls shorter than here. And Q is judged as it was"
+            " made, while stage slam adds slam.floor_m2 to it.",
             "split is a label of copy split: two halves of one pass, from alternate pings. pair is Q_ij, from S_i and"
-            " its actual targets, where all truly lie, without added noise, because two passes have their own."
-            " network_overlap is network asked about the points of S_i that lie over its targets alone. ratio is"
-            " of standard deviations, Q_ij over Q_i, a geometric mean over directions; worst_ratio is that in the"
-            " direction in which Q_i falls shortest: slopes of S_i that its targets do not have (outside) count in Q_i"
-            " all the same.",
+            " its actual targets, where all truly lie, without added noise, because two passes have their own. It is"
+            " an oracle, which has seen the truth, and its placed_* are circular: the same registrations from other"
+            " starts, that mostly end at the same error. So Q_ij is little more than the square of that error, of which"
+            " size and direction tell, and the short axis nothing: ratio is sqrt(tr Q_ij / tr Q_i), worst_ratio that of"
+            " the standard deviations in the direction in which Q_i falls shortest. Slopes of S_i that its targets do"
+            " not have (outside) count in Q_i all the same. network_overlap is network asked about the points of S_i"
+            " that lie over its targets alone.",
             *_shares(surveys),
             *_causes(holds),
             *_coverages(methods),
@@ -87,7 +94,7 @@ def _coverages(methods: pd.DataFrame) -> list[str]:
     for survey, rows in methods.groupby("survey", sort=False):
         of = rows.set_index("method")
         told = [
-            f"{name} {_percent(of['coverage_95'][method])} (placed {_percent(of['placed_coverage_95'][method])})"
+            f"{name} {_percent(of['coverage_95'][method])}{_placed(of.loc[method])}"
             for method, name in _NAMED.items()
             if method in of.index
         ]
@@ -95,8 +102,18 @@ def _coverages(methods: pd.DataFrame) -> list[str]:
     return [f"Inside the ellipse that should hold 95 %: {'; '.join(lines)}."]
 
 
+def _placed(row: "pd.Series[Any]") -> str:
+    """Return the coverage of placed registrations where that says something: from the truth, and not of Q_ij."""
+    says = row["against"] == "truth" and row.name != PAIR
+    return f" (placed {_percent(row['placed_coverage_95'])})" if says else ""
+
+
 def _advice(methods: pd.DataFrame, copies: Mapping[str, str]) -> list[str]:
-    """Return which copy's labels are nearer to the truth of registrations, by the coverage of the placed ones."""
+    """Return which copy's labels are nearer to the truth of registrations, by the coverage of the placed ones.
+
+    Where the truth is not known, they were placed where GT has them, which the labels made: that tells nothing.
+    """
+    methods = methods[methods["against"] == "truth"]
     miss = methods.assign(miss=(methods["placed_coverage_95"].astype(float) - _GOAL).abs())
     table = miss.pivot_table(index="survey", columns="method", values="miss", sort=False)
     same = [survey for survey in table.index if copies.get(survey) == "same"]
@@ -116,11 +133,15 @@ def _widened(methods: pd.DataFrame) -> list[str]:
     """Return what becomes of the labels' coverage with the factor that other surveys ask for."""
     told = [
         f"{row.survey}, {_NAMED[row.method]}: {_percent(row.coverage_95)} becomes {_percent(row.coverage_95_inflated)}"
-        f" (its own factor would be {cell(row.inflation, 2)}, {cell(row.placed_inflation, 2)} without GT's errors)"
+        f" (its own factor would be {cell(row.inflation, 2)}{_without_gt(row)})"
         for row in methods.itertuples()
         if row.method in (GOLD, SPLIT) and not pd.isna(row.coverage_95_inflated)
     ]
     return [f"With Q times the factor that the other test surveys ask for: {'; '.join(told)}."] if told else []
+
+
+def _without_gt(row: Any) -> str:
+    return f", {cell(row.placed_inflation, 2)} without GT's errors" if row.against == "truth" else ""
 
 
 def _percent(share: object) -> str:

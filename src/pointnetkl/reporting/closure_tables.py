@@ -32,7 +32,8 @@ def _by_method(lc: Numbers, held_out: Numbers, sizes: Numbers, datasets: Numbers
     columns = ["survey", "simulated", "against", "method", "nees", "nees_median", *COVERAGES]
     columns += ["placed_nees", "placed_nees_median", "placed_coverage_95", "held_out_nees", "held_out_coverage_95"]
     columns += ["inflation", "placed_inflation", "coverage_95_inflated", "added_m2", "coverage_95_added"]
-    return block("Calibration on loop closures, all draws of the graph.", rows, columns)
+    caption = "Calibration on loop closures, all draws of the graph; pair knows the truth, its placed_* are circular."
+    return block(caption, rows, columns)
 
 
 def _by_survey(sizes: Numbers, datasets: Numbers) -> Block:
@@ -59,5 +60,5 @@ def _ratios(ratios: Numbers) -> Block:
         for method, values in methods.items()
     ]
     columns = ["survey", "Q_i", "ratio", "worst_ratio", "overlap", "patchiness", "outside"]
-    caption = "How much wider Q_ij is than Q_i: median ratios of standard deviations; rank correlations of ratio."
+    caption = "Q_ij over Q_i: medians of sqrt(tr Q_ij / tr Q_i) and in the worst direction; rank correlations of ratio."
     return block(caption, rows, columns)

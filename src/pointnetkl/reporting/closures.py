@@ -87,17 +87,18 @@ def calibrations(every: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
 
 
 def ratios(of: Closures, method: str) -> pd.DataFrame:
-    """Return a row per submap of draw 0: by how much its Q_ij is wider than a method's Q_i, and its terrain.
+    """Return a row per submap of draw 0: by how much its Q_ij is wider than a method's Q_i in x, y, and its terrain.
 
-    `ratio` is of standard deviations, (det Q_ij / det Q_i)^(1 / 2M), the geometric mean over directions; `worst_ratio`
-    is that in the direction in which it is largest.
+    `ratio` is of root mean squares, sqrt(tr Q_ij / tr Q_i); `worst_ratio` of standard deviations in the direction in
+    which that is largest. Determinants tell nothing: a submap's error on its targets hardly depends on the start, so
+    that Q_ij is almost of rank one.
     """
     mine, pair = of.covariances.get(method, {}), of.covariances.get(PAIR, {})
     rows = of.rows[(of.rows["draw"] == 0) & of.rows["submap"].isin(set(mine) & set(pair))]
-    squares = [linalg.eigh(pair[number], mine[number], eigvals_only=True) for number in rows["submap"]]
-    found = np.sqrt(np.array(squares).reshape(len(rows), of.errors().shape[1]))
-    mean, worst = np.exp(np.log(found).mean(axis=1)), found.max(axis=1)
-    return rows[["submap", *DESCRIBED]].assign(ratio=mean, worst_ratio=worst)
+    both = [(pair[number][:2, :2], mine[number][:2, :2]) for number in rows["submap"]]
+    size = np.array([np.trace(q_ij) / np.trace(q_i) for q_ij, q_i in both])
+    worst = np.array([linalg.eigh(q_ij, q_i, eigvals_only=True)[-1] for q_ij, q_i in both])
+    return rows[["submap", *DESCRIBED]].assign(ratio=np.sqrt(size), worst_ratio=np.sqrt(worst))
 
 
 def sizes(of: Closures) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from pointnetkl import paper
 from pointnetkl.reporting import families, plots
 from pointnetkl.reporting.relief import Relief
 
-_RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # in sigmas, of the ellipse that holds 95 % of a Gaussian in the plane
 _CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 72, endpoint=False)), np.sin(t)])
 _WIDEST = 8.0  # times the label's ellipse, that a gallery's frame spans: a larger Q would make all others dots
 _DOT_IN = 0.02  # an ellipse no larger is drawn as a dot, or nobody would see it
@@ -83,7 +82,7 @@ def sigmas(q: np.ndarray, before_yaw: str = ", ") -> str:
 
 def boundary(q: np.ndarray) -> np.ndarray:
     """Return the 95 % ellipse in x, y of a covariance (M, M): (2, k) metres to starboard and along the track."""
-    x, y = _RADIUS * np.linalg.cholesky(q[:2, :2]) @ _CIRCLE
+    x, y = plots.RADIUS_95 * np.linalg.cholesky(q[:2, :2]) @ _CIRCLE
     return np.stack([-y, x])
 
 
@@ -164,7 +163,7 @@ def _text(page: Axes, left: float, top: float, words: str, colour: str = "black"
 
 
 def _reach(q: np.ndarray) -> float:
-    return _RADIUS * float(np.sqrt(np.linalg.eigvalsh(q[:2, :2])[-1]))
+    return plots.RADIUS_95 * float(np.sqrt(np.linalg.eigvalsh(q[:2, :2])[-1]))
 
 
 def _nats(kl: float) -> str:

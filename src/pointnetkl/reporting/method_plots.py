@@ -99,7 +99,7 @@ def slam_error(slam: pd.DataFrame) -> Figure:
 
 
 def slam_differences(differences: pd.DataFrame) -> Figure:
-    """Draw how much larger each method's error against the truth is than network's, with the 95 % interval.
+    """Draw network's error against the truth less each method's, with the 95 % interval: left of 0 network is better.
 
     `differences` is slam_differences.differences: a column of panels for each survey, a row for each measure. What
     lies far beyond the others stands at the border, its number beside it.
@@ -107,7 +107,7 @@ def slam_differences(differences: pd.DataFrame) -> Figure:
     if differences.empty:
         return sheet.nothing("no test survey has the truth and network's solutions")
     relative = differences[differences["measure"] == "truth_relative_m"]
-    order = _order(relative, relative["difference_m"].astype(float))
+    order = _order(relative, -relative["difference_m"].astype(float))
     figure, grid = _grid(differences, order, len(_MEASURES))
     surveys = differences["survey"].unique()
     for line, (measure, said) in zip(grid, _MEASURES.items(), strict=True):
@@ -116,7 +116,7 @@ def slam_differences(differences: pd.DataFrame) -> Figure:
         for panel in _panels(rows, order, [axes for name, axes in zip(surveys, line, strict=True) if name in known]):
             _differences(panel)
             panel.axes.set_title(f"{paper.title(panel.survey)}: {said}", fontsize=9)
-            panel.axes.set_xlabel(f"less network's {panel.rows['network_m'].iloc[0]:.4g} (m)", fontsize=9)
+            panel.axes.set_xlabel(f"network's {panel.rows['network_m'].iloc[0]:.4g} less the method's (m)", fontsize=9)
     families.legend(figure, order)
     return figure
 

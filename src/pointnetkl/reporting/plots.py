@@ -18,6 +18,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#777777"
 )  # fmt: skip
 WIDTH_IN, DPI = 8.5, 130
+RADIUS_95 = float(np.sqrt(-2 * np.log(0.05)))  # in sigmas, of the ellipse that holds 95 % of a Gaussian in the plane
 _LARGEST = 250_000  # bytes of a saved figure: a larger one is saved in 256 colours
 
 

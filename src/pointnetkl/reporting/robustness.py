@@ -30,7 +30,7 @@ _PAIRS = ("joined", "covering", "both")
 GATE = pa.schema([("survey", pa.string()), ("at", pa.string()), *((name, pa.float64()) for name in _PAIRS)])
 PLAIN = "plain"  # the kernel that is none
 CORRUPTED = "corrupted"  # a start; only kernels that have no other are judged by it
-_MEASURES = (*ERRORS, "precision", "recall", "runs", "failed")
+_MEASURES = ("false_share", *ERRORS, "precision", "recall", "runs", "failed")
 _CELLS = ["survey", "kernel", "start", "method", "share"]
 
 
@@ -54,8 +54,9 @@ def read(folders: Folders, surveys: Iterable[str]) -> Found:
 def summarised(rows: pd.DataFrame, by: Iterable[str] = _CELLS) -> pd.DataFrame:
     """Return one row per survey, kernel, start, method and share: medians of the errors, and the estimator as a gate.
 
-    Medians are over the runs that did not fail; precision and recall are of all their closures together, those with a
-    weight above a half being accepted. What nobody accepted has no precision.
+    `false_share` is the share itself, of whole closures, where `share` is what was asked for. Medians are over the runs
+    that did not fail; precision and recall are of all their closures together, those with a weight above a half being
+    accepted. What nobody accepted has no precision.
     """
     found = [dict(zip(by, key, strict=True)) | _summary(of) for key, of in _groups(rows, list(by))]
     return pd.DataFrame(found, columns=[*by, *_MEASURES])
@@ -105,7 +106,9 @@ def _summary(of: pd.DataFrame) -> dict[str, Any]:
     done = of[~of["failed"].astype(bool)]
     true, wrong = (float(done[name].sum()) for name in _ACCEPTED)
     closures = float(done["true_closures"].sum())
+    every, false = float(of[list(_COUNTS)].to_numpy().sum()), float(of["false_closures"].sum())
     return {
+        "false_share": false / every if every else np.nan,
         **{name: float(done[name].median()) if done[name].notna().any() else np.nan for name in ERRORS},
         "precision": true / (true + wrong) if true + wrong else np.nan,
         "recall": true / closures if closures else np.nan,
@@ -132,7 +135,8 @@ def _wide(rows: pd.DataFrame, datasets: Numbers) -> Block:
     names = [f"{name}_{percent(share)}" for name in _SHORT for share in shares]
     caption = (
         "Wrong loop closures: error against truth (unaligned, and of joined pairs; median, metres), and true closures"
-        " among the accepted (precision) and accepted among the true (recall), by per cent of closures that are false."
+        " among the accepted (precision) and accepted among the true (recall), by per cent of closures that are to be"
+        " false; that is rounded to a whole number of them (false_share in robustness_shares.csv)."
     )
     return block(caption, made, ["survey", "simulated", "kernel", "method", *names, "runs", "failed"])
 

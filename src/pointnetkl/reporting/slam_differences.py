@@ -1,4 +1,4 @@
-"""How far each method's solutions of the SLAM benchmark are from `network`'s, paired by draw and noise."""
+"""How far `network`'s solutions of the SLAM benchmark are from each method's, paired by draw and noise."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 from pointnetkl import clustered
-from pointnetkl.reporting.slam_summary import AUTHORS, TABLE
+from pointnetkl.reporting.slam_summary import AUTHORS, TABLE, difference, shared_noises
 from pointnetkl.reporting.summary import OURS
 
 MEASURES = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # against the truth; see slam.ROWS
@@ -15,7 +15,7 @@ _NOT_SOLVED = ("navigation", "corrupted")
 
 
 def differences(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return each method's mean error less network's by survey and measure, metres, with its 95 % interval (COLUMNS).
+    """Return network's mean error less each method's by survey and measure, metres, with its 95 % interval (COLUMNS).
 
     `rows` are slam.ROWS by survey; every draw of the loop closures counts with as many noises, and the interval is
     clustered by draw. A survey without truth, or without network, has no rows.
@@ -39,22 +39,20 @@ def both_ways(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _of_survey(survey: str, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
-    table = rows[(rows["variant"] == TABLE) & ~rows["method"].isin(_NOT_SOLVED)]
-    fewest = table.groupby("draw")["repetition"].max().min()
-    balanced = table[table["repetition"] <= fewest]
+    solved = shared_noises(rows[(rows["variant"] == TABLE) & ~rows["method"].isin(_NOT_SOLVED)])
+    ours = solved[solved["method"] == OURS]
     for measure in MEASURES:
-        paired = balanced.pivot(index=["draw", "repetition"], columns="method", values=measure)
-        for method in paired.columns.drop(OURS, errors="ignore") if OURS in paired else ():
-            less = (paired[method] - paired[OURS]).dropna()  # what has no solution has no error
+        for method, of in solved[solved["method"] != OURS].groupby("method"):
+            less = difference(ours, of, measure)
             if len(less):
                 draw = less.index.get_level_values("draw").to_numpy()
                 low, high = clustered.interval(less.to_numpy(), draw) or (None, None)
-                mean = float(clustered.means(less.to_numpy(), draw).mean())
-                of = {"survey": survey, "method": str(method), "measure": measure}
                 yield {
-                    **of,
-                    "network_m": float(paired[OURS].mean()),
-                    "difference_m": mean,
+                    "survey": survey,
+                    "method": str(method),
+                    "measure": measure,
+                    "network_m": float(ours[measure].mean()),
+                    "difference_m": float(less.mean()),
                     "ci_low": low,
                     "ci_high": high,
                 }

@@ -20,6 +20,7 @@ from pointnetkl.reporting.closure_plots import Closures
 from pointnetkl.reporting.results import Test
 from pointnetkl.reporting.slam_maps import Seabed
 from pointnetkl.reporting.trajectory_plots import Tracks
+from pointnetkl.slam import pose_table
 
 _SOLVED = ("network", "pointnetkl", "monte_carlo")  # whose map is shown: the first that is there
 _ELLIPSES = ("network", "monte_carlo")
@@ -42,9 +43,7 @@ def figures(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> 
 
 def poses_of(test: Test, which: str) -> np.ndarray:
     """Return a trajectory's poses T_map_submap (n, 4, 4), in the order of the submaps' numbers."""
-    rows = test.trajectories[test.trajectories["which"] == which].sort_values("submap")
-    columns = rows[["x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(np.float64)
-    return np.array([pose.matrix(row[:3], row[3]) for row in columns])
+    return pose_table.poses(test.trajectories[test.trajectories["which"] == which].sort_values("submap"))
 
 
 def _tracks(test: Test) -> Tracks:

@@ -49,16 +49,16 @@ def authors(name: str, test: Test, settings: Settings) -> dict[str, Any]:
 def variants(test: Test) -> dict[str, dict[str, Any]]:
     """Return, by variant and method, mean errors over draws, and how far they are from the table's (paired)."""
     few = test.slam[test.slam["variant"] != TABLE]["method"].unique()
-    rows = _shared_noises(test.slam[test.slam["method"].isin(few)])
+    rows = shared_noises(test.slam[test.slam["method"].isin(few)])
     found: dict[str, dict[str, Any]] = {}
     for (variant, method), of in rows.groupby(["variant", "method"], sort=False):
         means = {column: float(of[column].mean()) for column in ("rmse_xyz_m", *_OVER_DRAWS)}
         rival = rows[(rows["variant"] == TABLE) & (rows["method"] == method)]
-        difference = _difference(of, rival, "truth_rmse_xyz_m")
+        more = difference(of, rival, "truth_rmse_xyz_m")
         found.setdefault(str(variant), {})[str(method)] = {
             **means,
-            "minus_table_m": float(difference.mean()),
-            "minus_table_ci95_m": clustered.interval(difference.to_numpy(), _draw(difference)),
+            "minus_table_m": float(more.mean()),
+            "minus_table_ci95_m": clustered.interval(more.to_numpy(), _draw(more)),
         }
     return found
 
@@ -77,7 +77,7 @@ def _errors(rows: pd.DataFrame, name: str, method: str, settings: Settings) -> d
 
 
 def _over_draws(every: pd.DataFrame, method: str) -> dict[str, Any]:
-    rows = _shared_noises(every)
+    rows = shared_noises(every)
     of, ours = (rows[rows["method"] == each] for each in (method, OURS))
     if len(of) < 2:  # navigation, which no noise touches
         return {}
@@ -87,19 +87,29 @@ def _over_draws(every: pd.DataFrame, method: str) -> dict[str, Any]:
         found[f"{mean}_m"] = float(known[column].mean())
         found[f"{mean}_ci95_m"] = clustered.interval(known[column].to_numpy(), known["draw"].to_numpy())
         if method != OURS and len(ours):
-            difference = _difference(ours, of, column)
-            found[f"{minus}_m"] = float(difference.mean())
-            found[f"{test}_p"] = clustered.p_below(difference.to_numpy(), _draw(difference))
+            found |= _against(difference(ours, of, column), minus, test)
     return found
 
 
-def _shared_noises(rows: pd.DataFrame) -> pd.DataFrame:
+def _against(less: "pd.Series[float]", minus: str, test: str) -> dict[str, Any]:
+    values, draw = less.to_numpy(), _draw(less)
+    return {
+        f"{minus}_m": float(less.mean()),
+        f"{minus}_ci95_m": clustered.interval(values, draw),
+        f"{test}_p": clustered.p_below(values, draw),
+    }
+
+
+def shared_noises(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the noises that every draw has: the first has more of them."""
     return rows[rows["repetition"] <= rows.groupby("draw")["repetition"].max().min()]
 
 
-def _difference(rows: pd.DataFrame, rivals: pd.DataFrame, column: str) -> "pd.Series[float]":
-    """Return a column's values less those of rivals under the same draw and noise, where both are known."""
+def difference(rows: pd.DataFrame, rivals: pd.DataFrame, column: str) -> "pd.Series[float]":
+    """Return a column's values less those of rivals under the same draw and noise, where both are known.
+
+    Both have one row for a draw and noise, which index what is returned.
+    """
     key = ["draw", "repetition"]
     return (rows.set_index(key)[column] - rivals.set_index(key)[column]).dropna()
 

@@ -92,7 +92,7 @@ class _Measured:
     node: int
     described: dict[str, float]
     placed: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
-    covariances: dict[str, np.ndarray]  # by method, (M, M)
+    covariances: dict[str, np.ndarray]  # SPLIT and PAIR, (M, M)
 
 
 def schema(dimensions: int) -> pa.Schema:
@@ -105,7 +105,8 @@ def measure(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return a row for each registration of each draw, and the covariances SPLIT and PAIR of each submap registered.
 
-    The rows have the columns of `schema`; `submaps` are the graph's nodes.
+    The rows have the columns of `schema`; `submaps` are the graph's nodes. Where too few registrations of a submap at
+    its true place had a match, PAIR is its SPLIT: another draw may have closed a loop with it all the same.
 
     Raises:
         ClosureErrorsError: the submaps are not those of the graph.
@@ -124,7 +125,7 @@ def measure(
     rows = [_rows(graph, draw, by_node) for draw in range(len(graph.draws))]
     tables = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [how.registration.dimensions])))]
     for method in (SPLIT, PAIR):
-        have = {int(graph.number[each.node]): each.covariances[method] for each in found if method in each.covariances}
+        have = {int(graph.number[each.node]): each.covariances[method] for each in found}
         tables += [table.from_matrices(graph.survey, method, have, np.array(list(have.values())))] if have else []
     return pd.concat(rows, ignore_index=True)[names], pd.concat(tables, ignore_index=True)
 
@@ -155,11 +156,12 @@ def _measure(case: Case, graph: SurveyGraph, submaps: Sequence[Submap], settings
     errors = _errors(one, T[case.node], around, np.concatenate([drawn, given]), centroid, how)
     cell = how.graph.cell_factor * how.spacing_m
     terrain, middle = closure_terrain.describe(one, T[case.node], around, cell, how.registration)
+    split = _split(one, label, settings.runs, how)
     return _Measured(
         case.node,
         terrain | _misplaced(graph, case, middle, centroid),
         errors[settings.runs :],
-        {SPLIT: _split(one, label, settings.runs, how), **_moment(PAIR, errors[: settings.runs])},
+        {SPLIT: split, PAIR: _moment(errors[: settings.runs], split)},
     )
 
 
@@ -168,10 +170,9 @@ def _split(one: Submap, label: monte_carlo.Settings, runs: int, how: How) -> np.
     return monte_carlo.covariance(monte_carlo.errors(one, runs, rng, label, how.registration).errors)
 
 
-def _moment(method: str, errors: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the covariance of errors (b, M), nothing if too few registrations had a match: the graph rejects them."""
+def _moment(errors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     matched = errors[np.isfinite(errors[:, 0])]
-    return {method: monte_carlo.covariance(matched)} if len(matched) > errors.shape[1] else {}
+    return monte_carlo.covariance(matched) if len(matched) > errors.shape[1] else otherwise
 
 
 def _errors(

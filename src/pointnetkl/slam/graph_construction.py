@@ -6,22 +6,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from pointnetkl import compute, gicp, pose
+from pointnetkl import compute, gicp
 from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.slam import loop_closure, pose_graph, survey_graph
+from pointnetkl.slam import loop_closure, pose_graph, pose_table, survey_graph
 from pointnetkl.slam.survey_graph import Closures, SurveyGraph
 from pointnetkl.submap import Submap
 
 
 class GraphConstructionError(PointNetKLError):
     """A survey's truth does not belong to it."""
-
-
-def poses(table: pd.DataFrame) -> np.ndarray:
-    """Return T_map_submap (n, 4, 4) of a table with columns x_m, y_m, z_m and yaw_rad."""
-    rows = table[["x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(np.float64)
-    return np.array([pose.matrix(row[:3], row[3]) for row in rows]).reshape(-1, 4, 4)
 
 
 def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFrame) -> np.ndarray:
@@ -44,7 +38,7 @@ def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFram
         )
     columns = {name: np.interp(times, known, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
     wrong = _heading(times, pings) - _heading(times, trajectory)
-    return poses(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
+    return pose_table.poses(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
 
 
 def _heading(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
@@ -81,8 +75,8 @@ def build(
     """
     number = np.array([s.number for s in submaps], np.int64)
     found = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
-    q = survey_graph.edge_covariances(number, labels, found, f"{survey}, labels")
-    gt = optimise_navigation(navigation, found, q, settings)
+    full = survey_graph.full_covariances(number, labels, found, settings.loop_closure, f"{survey}, labels")
+    gt = optimise_navigation(navigation, found, full, settings)
     draw = functools.partial(_draw, survey, submaps, gt, spacing, settings, registration)
     draws = compute.in_threads(draw, range(settings.draws), f"loop closures, {survey}", unit="draw")
     noise = (settings.dead_reckoning, settings.loop_closure)
@@ -103,9 +97,8 @@ def _draw(
 
 
 def optimise_navigation(
-    navigation: np.ndarray, closures: Closures, q: np.ndarray, settings: loop_closure.Settings
+    navigation: np.ndarray, closures: Closures, covariances: np.ndarray, settings: loop_closure.Settings
 ) -> np.ndarray:
-    """Return "GT" (n, 4, 4): navigation optimised with loop closures of covariances q (e, M, M)."""
-    covariances = pose_graph.closure_covariances(q, settings.loop_closure, closures.levers)
+    """Return "GT" (n, 4, 4): navigation optimised with loop closures of covariances (e, 6, 6)."""
     graph = pose_graph.PoseGraph(navigation[0], closures.edges, covariances)
     return graph.optimise(pose_graph.between(navigation), settings.dead_reckoning, navigation)

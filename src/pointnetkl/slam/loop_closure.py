@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from pointnetkl import footprint, gicp, pose
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.settings import require_positive, require_seed
+from pointnetkl.settings import require_positive, require_seed, require_within
 from pointnetkl.slam.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
 from pointnetkl.slam.survey_graph import Closures
 from pointnetkl.submap import Submap
@@ -36,12 +36,12 @@ class Settings:
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         require_seed(self.seed)
-        require_positive(self, "draws", "coverage", "cell_factor")
+        require_positive(self, "draws", "coverage")
         if self.coverage > 1:
             raise ValueError(f"coverage is {self.coverage}, a share: must be at most 1")
-        for name in ("prior_variance_m2", "prior_yaw_sigma_rad"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be 0 or above")
+        require_within(self, 0.1, 1e3, "cell_factor")  # finer cells fill the memory, coarser ones tell nothing apart
+        require_within(self, 0.0, 1e6, "prior_variance_m2")
+        require_within(self, 0.0, np.pi, "prior_yaw_sigma_rad")
         if self.overlap_factor is not None:
             require_positive(self, "overlap_factor")
 

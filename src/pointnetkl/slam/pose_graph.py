@@ -13,16 +13,15 @@ import numpy as np
 from scipy import linalg
 
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.settings import require_positive
+from pointnetkl.settings import require_within
+from pointnetkl.slam import gtsam_search
 
-_XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
-_FIRST_POSE_SIGMA = 1e-6  # metres and radians: the first node is held, and this says how
+XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
 # Beside variances of 1e-6 m^2 Cholesky cannot solve the system. Levenberg-Marquardt takes that for a bad step, and
 # ends anywhere without a word. QR can, four times as slowly; from far away it may still end in a wrong basin.
 _CHOLESKY, _QR = "MULTIFRONTAL_CHOLESKY", "MULTIFRONTAL_QR"
 _SOFTENING_M2 = 1e-2
-_STEPS = 20
-_STEADY_M = 1e-3  # what a step more may move a pose at a minimum
+_ITERATIONS = 20
 
 
 class PoseGraphError(PointNetKLError):
@@ -31,8 +30,8 @@ class PoseGraphError(PointNetKLError):
 
 class _Noise:
     def __post_init__(self) -> None:
-        """Refuse standard deviations that are not positive."""
-        require_positive(self, *vars(self))
+        """Refuse standard deviations that are not positive, or that no arithmetic weighs against others."""
+        require_within(self, 1e-9, 1e6, *vars(self))
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray |
         return full
     adjoint = np.tile(np.eye(3), (len(q), 1, 1))  # of x, y, yaw
     adjoint[:, :2, 2] = levers[:, ::-1] * [1, -1]
-    full[:, _XY_YAW[:, None], _XY_YAW] = adjoint @ q @ np.swapaxes(adjoint, 1, 2)
+    full[:, XY_YAW[:, None], XY_YAW] = adjoint @ q @ np.swapaxes(adjoint, 1, 2)
     return full
 
 
@@ -107,7 +106,7 @@ class Odometry:
     def __init__(self, relative: np.ndarray, noise: DeadReckoningNoise, initial: np.ndarray) -> None:
         """Take each node's pose in the frame of the one before (n - 1, 4, 4), and initial T_map_submap (n, 4, 4)."""
         model = gtsam.noiseModel.Diagonal.Sigmas(sigmas(noise))
-        self.factors, self.initial = gtsam.NonlinearFactorGraph(), _values(initial)
+        self.factors, self.initial = gtsam.NonlinearFactorGraph(), gtsam_search.to_values(initial)
         for node, T in enumerate(relative):
             self.factors.add(gtsam.BetweenFactorPose3(node, node + 1, gtsam.Pose3(T), model))
 
@@ -137,12 +136,12 @@ class PoseGraph:
         Raises:
             PoseGraphError: it ends at no minimum.
         """
-        graph = _joined(self._fixed, odometry)
+        graph = gtsam_search.joined(self._fixed, odometry.factors)
         found = None if self._stiff else _minimum(graph, odometry.initial, _CHOLESKY)
         if found is None:
             self._stiff = True  # a graph that is so once is so under other noise too
-            near = _minimum(_joined(self._soft, odometry), odometry.initial, _CHOLESKY)
-            found = None if near is None else _minimum(graph, _values(near), _QR)
+            near = _minimum(gtsam_search.joined(self._soft, odometry.factors), odometry.initial, _CHOLESKY)
+            found = None if near is None else _minimum(graph, gtsam_search.to_values(near), _QR)
         if found is None:
             raise PoseGraphError(
                 f"a graph of {odometry.initial.size()} nodes has no solution: the search ends at no minimum; look for"
@@ -152,8 +151,8 @@ class PoseGraph:
 
     def position_covariances(self, odometry: Odometry, poses: np.ndarray) -> np.ndarray:
         """Return the covariances (n, 2, 2) of x, y, m^2 in the map, that the graph claims of its solution (n, 4, 4)."""
-        solution = _values(poses)
-        linear = _joined(self._fixed, odometry).linearize(solution)
+        solution = gtsam_search.to_values(poses)
+        linear = gtsam_search.joined(self._fixed, odometry.factors).linearize(solution)
         try:
             marginals = gtsam.Marginals(linear, solution)
             of_nodes = np.array([marginals.marginalCovariance(node) for node in range(len(poses))])
@@ -171,45 +170,18 @@ class PoseGraph:
 
 
 def _fixed(first: np.ndarray, closures: Edges, covariances: np.ndarray) -> gtsam.NonlinearFactorGraph:
-    factors = gtsam.NonlinearFactorGraph()
-    factors.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(first), gtsam.noiseModel.Isotropic.Sigma(6, _FIRST_POSE_SIGMA)))
+    factors = gtsam_search.held({0: first})
     for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         factors.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
     return factors
 
 
-def _joined(fixed: gtsam.NonlinearFactorGraph, odometry: Odometry) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph(fixed)
-    graph.push_back(odometry.factors)
-    return graph
-
-
 def _minimum(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, solver: str) -> np.ndarray | None:
-    """Return the poses (n, 4, 4) that the search finds; None if it ends where undamped steps do not come to rest.
-
-    Those steps stand at its end in any case: it stops at a change of the error that may still be centimetres.
-    """
-    search, how = gtsam.LevenbergMarquardtParams(), gtsam.GaussNewtonParams()
-    search.setMaxIterations(_STEPS)
+    search = gtsam.LevenbergMarquardtParams()
+    search.setMaxIterations(_ITERATIONS)
     search.setLinearSolverType(solver)
-    how.setLinearSolverType(solver)
-    try:
-        near = gtsam.LevenbergMarquardtOptimizer(graph, initial, search).optimize()
-    except RuntimeError:  # not even the first system has a solution
-        return None
-    steps = gtsam.GaussNewtonOptimizer(graph, near, how)
-    before = _poses(near)
-    for _ in range(_STEPS):
-        try:
-            steps.iterate()
-        except RuntimeError:  # a system that is singular to working precision
-            return None
-        after = _poses(steps.values())
-        if np.abs(after - before)[:, :3, 3].max() < _STEADY_M:
-            return after
-        before = after
-    return None
+    return gtsam_search.minimum(graph, initial, search)
 
 
 def _marginals(linear: gtsam.GaussianFactorGraph) -> np.ndarray:
@@ -218,17 +190,3 @@ def _marginals(linear: gtsam.GaussianFactorGraph) -> np.ndarray:
     root, _ = linear.eliminateSequential(order, gtsam.EliminateQR).matrix()
     of_node = linalg.solve_triangular(root, np.eye(len(root))).reshape(-1, 6, len(root))
     return of_node @ np.swapaxes(of_node, 1, 2)
-
-
-def _values(poses: np.ndarray) -> gtsam.Values:
-    values = gtsam.Values()
-    for node, T in enumerate(poses):
-        values.insert(node, gtsam.Pose3(T))
-    return values
-
-
-def _poses(values: gtsam.Values) -> np.ndarray:
-    rows = gtsam.utilities.extractPose3(values)  # by key: rotation row by row, then position
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
-    return poses

@@ -16,7 +16,7 @@ import pyarrow as pa
 from pointnetkl import pose
 from pointnetkl.covariance import gaussian, table
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.settings import require_positive, require_seed
+from pointnetkl.settings import require_positive, require_seed, require_within
 from pointnetkl.slam import authors_slam, pose_graph, survey_graph
 from pointnetkl.slam.pose_graph import PoseGraph
 from pointnetkl.slam.survey_graph import SurveyGraph
@@ -69,12 +69,14 @@ class Settings:
     def __post_init__(self) -> None:
         """Refuse numbers out of their range, and another way to count edges than there is."""
         require_seed(self.seed)
-        require_positive(self, "repetitions", "draw_repetitions", "map_cell_m", "map_thinning")
+        require_positive(self, "repetitions", "draw_repetitions", "map_thinning")
+        require_within(self, 0.1, 1e4, "map_cell_m")
+        require_within(self, 0.0, 1e4, "floor_m2")
         if self.draw_repetitions > self.repetitions:
             raise ValueError(f"draw_repetitions is {self.draw_repetitions}, must be at most repetitions")
         if self.edges not in ("all", "shared"):
             raise ValueError(f"edges is {self.edges!r}, must be all or shared")
-        for name in ("yaw_sigma_rad", "floor_m2", "map_to_map_repetitions"):
+        for name in ("yaw_sigma_rad", "map_to_map_repetitions"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
@@ -102,21 +104,14 @@ def variants(methods: Iterable[str], settings: Settings) -> list[Variant]:
 def corrupt(graph: SurveyGraph, draw: int, repetition: int, settings: Settings) -> np.ndarray:
     """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever the method."""
     seed = [settings.seed, zlib.crc32(graph.survey.encode()), draw, repetition]
+    return with_noise(graph, np.random.default_rng(seed), settings.yaw_sigma_rad)
+
+
+def with_noise(graph: SurveyGraph, rng: np.random.Generator, yaw_sigma_rad: float) -> np.ndarray:
+    """Return dead reckoning (n - 1, 4, 4) with Gaussian noise on each edge's yaw."""
     exact = pose_graph.between(graph.gt)
-    noise = np.random.default_rng(seed).normal(0.0, settings.yaw_sigma_rad, len(exact))
-    turns = [pose.matrix(np.zeros(3), yaw) for yaw in noise]
+    turns = [pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0.0, yaw_sigma_rad, len(exact))]
     return exact @ np.array(turns).reshape(-1, 4, 4)
-
-
-def weights(registration: np.ndarray, edges: str) -> np.ndarray:
-    """Return what each edge's Q is multiplied by, (e,), given its registration (e,).
-
-    `all`: 1, so that a registration counts once an edge (the paper); `shared`: its number of edges, so that it
-    counts once.
-    """
-    if edges == "all" or len(registration) == 0:
-        return np.ones(len(registration))
-    return np.bincount(registration)[registration].astype(np.float64)
 
 
 def by_method(covariances: pd.DataFrame, floor: float = 0.0) -> dict[str, dict[int, np.ndarray]]:
@@ -142,12 +137,11 @@ def by_method(covariances: pd.DataFrame, floor: float = 0.0) -> dict[str, dict[i
 
 def pose_graphs(graph: SurveyGraph, methods: Methods, variant: Variant, draw: int = 0) -> dict[str, PoseGraph]:
     """Return each method's factors that no repetition changes: the held first node and a draw's loop closures."""
-    closures = graph.draws[draw]
-    weight = weights(closures.registration, variant.edges)[:, None, None]
+    closures, noise = graph.draws[draw], graph.closure_noise
     made = {}
     for name in variant.methods:
-        q = survey_graph.edge_covariances(graph.number, methods[name], closures, f"{graph.survey}, {name}")
-        edges, full = closures.edges, pose_graph.closure_covariances(q * weight, graph.closure_noise, closures.levers)
+        edges, origin = closures.edges, f"{graph.survey}, {name}"
+        full = survey_graph.full_covariances(graph.number, methods[name], closures, noise, origin, variant.edges)
         if variant.name == AUTHORS:
             edges, full = authors_slam.closures(edges, full)
         made[name] = PoseGraph(graph.gt[0], edges, full)

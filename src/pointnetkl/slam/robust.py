@@ -13,13 +13,12 @@ import numpy as np
 
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.settings import require_positive
-from pointnetkl.slam.pose_graph import Edges, Odometry
+from pointnetkl.slam import gtsam_search
+from pointnetkl.slam.pose_graph import Edges
 
 KERNELS = ("plain", "huber", "cauchy", "dcs", "gnc")  # plain: no robust estimator
 FIRST = "cauchy"  # finds its way from corrupted poses; the others begin where it ends
 ACCEPTED = 0.5  # of a closure's weight in the solution: above it the estimator took the closure for true
-_TOLERANCE = 1e-8  # of the cost, relative; GTSAM's 1e-5 stops metres short along a bend that closures hardly see
-_FIRST_POSE_SIGMA = 1e-6  # metres and radians: the first node is held, and this says how
 _ESTIMATORS: dict[str, Callable[[float], Any]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
     "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
@@ -61,30 +60,30 @@ class Solution:
     values: gtsam.Values
     poses: np.ndarray  # (n, 4, 4) T_map_submap
     weights: np.ndarray  # (e,) from 0 to 1
-    iterations: int | None  # None of GNC, which does not tell
 
 
 class RobustGraph:
-    """A graph with loop closures that may be wrong; the first node, and dead reckoning, are beyond doubt."""
+    """A graph with loop closures that may be wrong; its other factors are beyond doubt."""
 
     def __init__(
-        self, first: np.ndarray, closures: Edges, covariances: np.ndarray, odometry: Odometry, thresholds: Thresholds
+        self,
+        sure: gtsam.NonlinearFactorGraph,
+        initial: gtsam.Values,
+        closures: Edges,
+        covariances: np.ndarray,
+        thresholds: Thresholds,
     ) -> None:
-        """Hold node 0 at `first` (4, 4); closures have covariances (e, 6, 6) in their sources' frames."""
-        held = gtsam.noiseModel.Isotropic.Sigma(6, _FIRST_POSE_SIGMA)
-        self._sure = gtsam.NonlinearFactorGraph()
-        self._sure.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(first), held))
-        self._sure.push_back(odometry.factors)
+        """Take what is sure, held nodes among it, and closures with covariances (e, 6, 6) in their sources' frames."""
+        self._sure, self._initial, self._thresholds = sure, initial, thresholds
         self._pairs = [
             (int(k), int(i), gtsam.Pose3(T))
             for k, i, T in zip(closures.target, closures.source, closures.measured, strict=True)
         ]
         self._models = [gtsam.noiseModel.Gaussian.Covariance(covariance) for covariance in covariances]
         self._plain = self._closures(self._models)
-        self._initial, self._thresholds = odometry.initial, thresholds
 
     def solve(self, kernel: str, start: Solution | None = None) -> Solution:
-        """Return what one of KERNELS makes of the graph, from a solution or else from the odometry's initial poses.
+        """Return what one of KERNELS makes of the graph, from a solution or else from the initial poses.
 
         Raises:
             RobustError: the linear system has no solution, or the answer is not finite.
@@ -102,15 +101,14 @@ class RobustGraph:
             estimator = _ESTIMATORS[kernel](getattr(self._thresholds, kernel))
             closures = self._closures([gtsam.noiseModel.Robust.Create(estimator, model) for model in self._models])
         initial = self._initial if start is None else start.values
-        search = gtsam.LevenbergMarquardtOptimizer(self._with(closures), initial, _precisely())
-        values = search.optimize()
+        values = gtsam.LevenbergMarquardtOptimizer(self._with(closures), initial, gtsam_search.precisely()).optimize()
         lengths = self._lengths(values)
         weights = np.ones(len(lengths)) if estimator is None else np.array([estimator.weight(d) for d in lengths])
-        return Solution(values, _poses(values), weights, search.iterations())
+        return Solution(values, _poses(values), weights)
 
     def _gnc(self, start: Solution | None) -> Solution:
         sure = self._sure.size()
-        how = gtsam.GncLMParams(_precisely())
+        how = gtsam.GncLMParams(gtsam_search.precisely())
         how.setLossType(gtsam.GncLossType.TLS)
         how.setKnownInliers(list(range(sure)))
         how.setLambdaStep(self._thresholds.gnc_step)
@@ -122,7 +120,7 @@ class RobustGraph:
             search.setWeights(np.concatenate([np.ones(sure), self._lengths(initial) ** 2 <= limits]))
         values = search.optimize()
         self._lengths(values)
-        return Solution(values, _poses(values), np.ravel(search.getWeights())[sure:], None)
+        return Solution(values, _poses(values), np.ravel(search.getWeights())[sure:])
 
     def _lengths(self, values: gtsam.Values) -> np.ndarray:
         """Return the lengths (e,) of the closures' whitened residuals."""
@@ -141,17 +139,8 @@ class RobustGraph:
         return graph
 
 
-def _precisely() -> gtsam.LevenbergMarquardtParams:
-    how = gtsam.LevenbergMarquardtParams()
-    how.setRelativeErrorTol(_TOLERANCE)
-    how.setAbsoluteErrorTol(_TOLERANCE)
-    return how
-
-
 def _poses(values: gtsam.Values) -> np.ndarray:
-    rows = gtsam.utilities.extractPose3(values)  # by key: rotation row by row, then position
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
+    poses = gtsam_search.to_poses(values)
     if not np.isfinite(poses).all():
-        raise RobustError(f"a graph of {len(rows)} nodes has poses that are not numbers")
+        raise RobustError(f"a graph of {len(poses)} nodes has poses that are not numbers")
     return poses

@@ -8,6 +8,8 @@ from pointnetkl import metrics
 from pointnetkl.slam.pose_graph import Edges
 from pointnetkl.slam.survey_graph import SurveyGraph
 
+_CHI2_2_MEDIAN = 2 * np.log(2)  # of e^T C^-1 e, two degrees of freedom, where C is right
+
 
 def errors(graph: SurveyGraph, edges: Edges, poses: np.ndarray) -> dict[str, float]:
     """Return the errors of poses (n, 4, 4) in metres, by the names of slam.ROWS; NaN where the truth is not known.
@@ -22,7 +24,7 @@ def errors(graph: SurveyGraph, edges: Edges, poses: np.ndarray) -> dict[str, flo
 def relative_error(edges: Edges, poses: np.ndarray, reference: np.ndarray) -> float:
     """Return the rms error of each edge's source in x, y of its target's frame, metres; NaN without edges.
 
-    `poses` and `reference` are T_map_submap (n, 4, 4). A bend of the whole map, which no loop closure sees, is not in
+    `poses` and `reference` are T_map_submap (n, 4, 4). A turn of the whole map, which no loop closure sees, is not in
     it.
     """
     if len(edges.source) == 0:
@@ -32,13 +34,14 @@ def relative_error(edges: Edges, poses: np.ndarray, reference: np.ndarray) -> fl
 
 
 def pose_nees(covariances: np.ndarray, poses: np.ndarray, reference: np.ndarray) -> float:
-    """Return the mean of e^T C^-1 e / 2 over submaps, e the error of poses (n, 4, 4) in x, y of the map.
+    """Return the median of e^T C^-1 e over submaps, e the error of poses (n, 4, 4) in x, y, over a chi-squared's.
 
-    `covariances` (n, 2, 2) are those of the solution. 1 is right, more is overconfident. The first submap is left out:
-    it is held.
+    `covariances` (n, 2, 2) are those of the solution, which holds its first submap where `poses` has it: `reference` is
+    moved there, and that submap left out. 1 is right, more is overconfident.
     """
-    off = (poses - reference)[1:, None, :2, 3]
-    return float(metrics.squared_mahalanobis(off, covariances[1:]).mean() / 2)
+    due = poses[0] @ np.linalg.inv(reference[0]) @ reference
+    off = (poses - due)[1:, None, :2, 3]
+    return float(np.median(metrics.squared_mahalanobis(off, covariances[1:])) / _CHI2_2_MEDIAN)
 
 
 def _rmse(prefix: str, poses: np.ndarray, reference: np.ndarray) -> Iterator[tuple[str, float]]:

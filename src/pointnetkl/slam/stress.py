@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pointnetkl import compute, metrics, pose
+from pointnetkl import compute, metrics
 from pointnetkl.errors import PointNetKLError
 from pointnetkl.settings import require_positive, require_seed
-from pointnetkl.slam import false_closures, pose_graph, robust, slam_errors, survey_graph
+from pointnetkl.slam import false_closures, gtsam_search, pose_graph, protocol, robust, slam_errors, survey_graph
 from pointnetkl.slam.pose_graph import Edges
 from pointnetkl.slam.robust import RobustGraph, Solution, Thresholds
-from pointnetkl.slam.survey_graph import Closures, SurveyGraph
+from pointnetkl.slam.survey_graph import SurveyGraph
 
 # A row per kernel, start, share, method and repetition. What a run that failed would have found is null.
 ROWS = pa.schema(
@@ -30,7 +30,6 @@ ROWS = pa.schema(
         ("false_closures", pa.int32()),
         *((name, pa.float64()) for name in ("rmse_xyz_m", "truth_rmse_xyz_m", "truth_relative_m")),
         *((name, pa.float64()) for name in ("accepted_true", "accepted_false")),  # weight above robust.ACCEPTED
-        ("iterations", pa.float64()),  # null of GNC too
         ("failed", pa.bool_()),
     ]
 )
@@ -52,22 +51,19 @@ class Settings:
     shares: list[float]
     repetitions: int
     corrupted_repetitions: int
-    yaw_sigma_rad: float
-    floor_m2: float
     thresholds: Thresholds
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their range, and the same method or share twice."""
         require_seed(self.seed)
         require_positive(self, "repetitions")
-        for name in ("yaw_sigma_rad", "floor_m2", "corrupted_repetitions"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+        if self.corrupted_repetitions < 0:
+            raise ValueError(f"corrupted_repetitions is {self.corrupted_repetitions}, must not be negative")
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods is {self.methods}, must name at least one, and each once")
-        within = all(0 <= share < 1 for share in self.shares)
+        within = all(0 <= share <= 0.9 for share in self.shares)
         if not self.shares or not within or sorted(set(self.shares)) != self.shares:
-            raise ValueError(f"shares is {self.shares}, must be shares from 0 to below 1, in rising order")
+            raise ValueError(f"shares is {self.shares}, must be shares from 0 to 0.9, in rising order")
 
 
 @dataclass(frozen=True)
@@ -77,6 +73,7 @@ class Case:
     graph: SurveyGraph
     methods: Methods
     apart: np.ndarray  # (p, 2) pairs of nodes whose submaps do not overlap
+    yaw_sigma_rad: float  # of the noise on dead reckoning
     settings: Settings
 
 
@@ -102,16 +99,14 @@ def benchmark(case: Case) -> pd.DataFrame:
     return pd.DataFrame([row for each in rows for row in each], columns=ROWS.names)
 
 
-def corrupt(graph: SurveyGraph, repetition: int, settings: Settings) -> np.ndarray:
+def corrupt(case: Case, repetition: int) -> np.ndarray:
     """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever kernel and method."""
-    exact = pose_graph.between(graph.gt)
-    noise = _rng(graph, repetition, _NOISE, settings).normal(0.0, settings.yaw_sigma_rad, len(exact))
-    return exact @ np.array([pose.matrix(np.zeros(3), yaw) for yaw in noise]).reshape(-1, 4, 4)
+    return protocol.with_noise(case.graph, _rng(case, repetition, _NOISE), case.yaw_sigma_rad)
 
 
-def corrupted_poses(graph: SurveyGraph, repetition: int, settings: Settings) -> np.ndarray:
+def corrupted_poses(case: Case, repetition: int) -> np.ndarray:
     """Return the poses (n, 4, 4) that corrupted dead reckoning makes."""
-    return pose_graph.chain(graph.gt[0], corrupt(graph, repetition, settings))
+    return pose_graph.chain(case.graph.gt[0], corrupt(case, repetition))
 
 
 def with_false(case: Case, repetition: int) -> list[tuple[float, Edges]]:
@@ -124,24 +119,25 @@ def with_false(case: Case, repetition: int) -> list[tuple[float, Edges]]:
     if len(true.source) == 0 or len(case.apart) == 0:
         return [(0.0, true)]
     counts = false_closures.counts(len(true.source), shares)
-    rng = _rng(graph, repetition, _FALSE, case.settings)
-    false = false_closures.draw(true, graph.gt, case.apart, counts[-1], rng)
+    false = false_closures.draw(true, graph.gt, case.apart, counts[-1], _rng(case, repetition, _FALSE))
     return [(share, false_closures.joined(true, false, n)) for share, n in zip(shares, counts, strict=True)]
 
 
 def _repetition(case: Case, repetition: int) -> list[dict[str, Any]]:
     graph, settings = case.graph, case.settings
     draw = repetition % len(graph.draws)
-    initial = corrupted_poses(graph, repetition, settings)
-    odometry = pose_graph.Odometry(corrupt(graph, repetition, settings), graph.dead_reckoning_noise, initial)
+    true, initial = graph.draws[draw], corrupted_poses(case, repetition)
+    odometry = pose_graph.Odometry(corrupt(case, repetition), graph.dead_reckoning_noise, initial)
+    sure = gtsam_search.joined(gtsam_search.held({0: graph.gt[0]}), odometry.factors)
     rows = []
     for method, q in case.methods.items():
         for share, edges in with_false(case, repetition):
-            covariances = _covariances(graph, graph.draws[draw], edges, q, method)
-            made = RobustGraph(graph.gt[0], edges, covariances, odometry, settings.thresholds)
+            every, origin = dataclasses.replace(true, edges=edges), f"{graph.survey}, {method}"
+            full = survey_graph.full_covariances(graph.number, q, every, graph.closure_noise, origin)
+            made = RobustGraph(sure, odometry.initial, edges, full, settings.thresholds)
             what = {"survey": graph.survey, "method": method, "share": share, "draw": draw, "repetition": repetition}
             for kernel, start, solution in _solutions(made, repetition < settings.corrupted_repetitions):
-                found = _judged(graph, graph.draws[draw].edges, edges, solution)
+                found = _judged(graph, true.edges, edges, solution)
                 rows.append({**what, "kernel": kernel, "start": start, **found})
     return rows
 
@@ -165,14 +161,6 @@ def _attempt(graph: RobustGraph, kernel: str, start: Solution | None) -> Solutio
         return None
 
 
-def _covariances(
-    graph: SurveyGraph, closures: Closures, edges: Edges, q: Mapping[int, np.ndarray], method: str
-) -> np.ndarray:
-    every = dataclasses.replace(closures, edges=edges)
-    edge_q = survey_graph.edge_covariances(graph.number, q, every, f"{graph.survey}, {method}")
-    return pose_graph.closure_covariances(edge_q, graph.closure_noise, every.levers)
-
-
 def _judged(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | None) -> dict[str, Any]:
     count = len(true.source)
     closures = {"true_closures": count, "false_closures": len(edges.source) - count}
@@ -186,10 +174,9 @@ def _judged(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | 
         "truth_relative_m": slam_errors.relative_error(true, solution.poses, graph.truth),
         "accepted_true": float(accepted[:count].sum()),
         "accepted_false": float(accepted[count:].sum()),
-        "iterations": solution.iterations,
         "failed": False,
     }
 
 
-def _rng(graph: SurveyGraph, repetition: int, stream: int, settings: Settings) -> np.random.Generator:
-    return np.random.default_rng([settings.seed, zlib.crc32(graph.survey.encode()), repetition, stream])
+def _rng(case: Case, repetition: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng([case.settings.seed, zlib.crc32(case.graph.survey.encode()), repetition, stream])

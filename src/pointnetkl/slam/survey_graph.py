@@ -82,6 +82,28 @@ def edge_covariances(
     return np.array([q[number] for number in sources]).reshape(-1, m, m)
 
 
+def full_covariances(
+    numbers: Sequence[int] | np.ndarray,
+    q: Mapping[int, np.ndarray],
+    closures: Closures,
+    noise: ClosureNoise,
+    origin: str,
+    edges: str = "all",
+) -> np.ndarray:
+    """Return the covariances (e, 6, 6) of closures with Q (M, M) by submap, as pose_graph has them.
+
+    `edges` is all: a registration counts once an edge (the paper); or shared: Q is multiplied by its number of edges,
+    so that it counts once.
+
+    Raises:
+        SurveyGraphError: as edge_covariances.
+    """
+    of_edges = edge_covariances(numbers, q, closures, origin)
+    if edges == "shared":
+        of_edges = of_edges * np.bincount(closures.registration)[closures.registration, None, None]
+    return pose_graph.closure_covariances(of_edges, noise, closures.levers)
+
+
 def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
     """Return each edge's error (e, M) against poses T_map_submap (n, 4, 4), in the source's frame.
 
