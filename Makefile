@@ -19,7 +19,7 @@ repro: .venv/complete  ## run what is out of date, from raw surveys to reports/i
 	@$(BIN)/python tools/repro.py
 
 test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among them
-	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 bench: .venv/complete  ## registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
 	@$(BIN)/python benchmarks/gicp.py --open3d --json

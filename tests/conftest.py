@@ -1,16 +1,23 @@
-"""What several test files share: where real data may be found, and a small survey over a seabed of one's choice."""
+"""What test files share: their order, where real data may be found, and a small survey over a seabed of one's choice."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from pointnetkl.survey import Survey
 
 REALDATA = Path(__file__).parents[2] / "shared/realdata"
 
 Seabed = Callable[[np.ndarray, np.ndarray], np.ndarray]
+_LONG = ("test_pipeline.py", "test_label_stage.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take minutes, so that no worker is left alone with one at the end."""
+    items.sort(key=lambda item: item.path.name not in _LONG)
 
 
 def rolling(x: np.ndarray, y: np.ndarray) -> np.ndarray:
