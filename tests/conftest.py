@@ -1,4 +1,4 @@
-"""What test files share: their order, where real data may be found, and a small survey over a seabed of one's choice."""
+"""What test files share: their order, where real data may be found, and a small survey over any seabed."""
 
 from collections.abc import Callable
 from pathlib import Path
