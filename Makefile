@@ -5,7 +5,7 @@ export DVC_NO_ANALYTICS := 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup repro test bench lint clean
+.PHONY: help setup repro test bench fuzz lint clean
 
 help:  ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -23,6 +23,10 @@ test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among
 
 bench: .venv/complete  ## registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
 	@$(BIN)/python benchmarks/gicp.py --open3d --json
+
+fuzz: .venv/complete  ## every reader of raw files on 10,000 damaged ones, twice; some 20 minutes
+	@$(BIN)/python -m pip install --quiet -e '.[fuzz]'
+	@$(BIN)/python tests/fuzz.py
 
 lint: .venv/complete  ## ruff, and mypy --strict on src
 	@$(BIN)/ruff check .

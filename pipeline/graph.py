@@ -1,4 +1,7 @@
-"""Build a survey's pose graph: GT from navigation, then draws of the loop closures of Algorithm 1."""
+"""Build a survey's pose graph: GT from navigation, then draws of the loop closures of Algorithm 1.
+
+Tiles of points have no track: their graph has no edges and says so, and the stages after it write tables of no rows.
+"""
 
 import argparse
 from pathlib import Path
@@ -20,10 +23,13 @@ def main(arguments: argparse.Namespace) -> None:
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
-    pings = artifacts.read_table(arguments.pings, survey.PINGS)
-    truth = graph_construction.truth_at(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
-    spacing = float(np.median(labels["spacing_m"]))
-    made = graph_construction.build(name, submaps, pose_table.poses(poses), truth, q, spacing, graph, registration)
+    spacing, navigation = float(np.median(labels["spacing_m"])), pose_table.poses(poses)
+    if artifacts.table_metadata(arguments.pings).get("kind") == "points":  # tiles, which nobody went along
+        made = graph_construction.without_track(name, submaps, navigation, spacing, graph, registration)
+    else:
+        pings = artifacts.read_table(arguments.pings, survey.PINGS)
+        truth = graph_construction.truth_at(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
+        made = graph_construction.build(name, submaps, navigation, truth, q, spacing, graph, registration)
     metadata = {
         "survey": name,
         "spacing_m": spacing,

@@ -9,22 +9,19 @@ from pointnetkl import artifacts, command, readers, settings, survey
 def main(arguments: argparse.Namespace) -> None:
     """Read the raw files and the truth; write pings, soundings and truth in one map frame."""
     how = settings.read(arguments.params, "ingest", readers.Settings)
-    found = readers.read(arguments.raw, how.utm_zone)
-    truth = readers.read_truth(arguments.truth, found)
-    metadata = {
-        "survey": arguments.survey,
-        "crs": found.crs,
-        "origin": list(found.origin),
-        "report": found.report,
-        "params": settings.as_metadata(how),
-    }
-    tables = {
-        "pings": (found.pings, survey.PINGS),
-        "soundings": (found.soundings, survey.SOUNDINGS),
-        "truth": (truth, survey.TRAJECTORY),
-    }
-    for name, (table, schema) in tables.items():
-        artifacts.write_table(arguments.out / f"{name}.parquet", table, schema, metadata)
+    with artifacts.TableWriter(arguments.out / "soundings.parquet", survey.SOUNDINGS) as soundings:
+        found = readers.read(arguments.raw, how, soundings.write, arguments.out)
+        truth = readers.read_truth(arguments.truth, found)
+        soundings.metadata = {
+            "survey": arguments.survey,
+            "kind": found.kind,
+            "crs": found.crs,
+            "origin": list(found.origin),
+            "report": found.report,
+            "params": settings.as_metadata(how),
+        }
+    for name, table, schema in (("pings", found.pings, survey.PINGS), ("truth", truth, survey.TRAJECTORY)):
+        artifacts.write_table(arguments.out / f"{name}.parquet", table, schema, soundings.metadata)
     print(f"{arguments.survey}: {survey.summary(found)}")
 
 

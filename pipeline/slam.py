@@ -2,14 +2,30 @@
 
 import argparse
 import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
 
 from pointnetkl import artifacts, command, settings, submap
 from pointnetkl.consistency import consistency_map, map_frame, map_thinning
+from pointnetkl.consistency.map_cells import Cells
 from pointnetkl.consistency.map_to_map import MapToMap
 from pointnetkl.consistency.map_to_map_auvlib import MapToMapAuvlib
 from pointnetkl.covariance import table
 from pointnetkl.slam import graph_file, protocol, slam_benchmark
+from pointnetkl.slam.survey_graph import SurveyGraph
+
+
+class Found(NamedTuple):
+    """What is written."""
+
+    rows: pd.DataFrame
+    trajectories: pd.DataFrame
+    cells: Mapping[str, Cells]
+    thinned: pd.DataFrame
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -21,20 +37,35 @@ def main(arguments: argparse.Namespace) -> None:
     covariances = table.read((arguments.estimated, arguments.predicted, arguments.measured), name)
     methods = protocol.by_method(covariances, chosen.floor_m2)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
+    found = solve(graph, methods, submaps, chosen) if graph.track else no_track()
+    for sentence in slam_benchmark.unsolved(found.rows):
+        print(sentence, file=sys.stderr)
+    metadata = {"survey": name, "slam": settings.as_metadata(chosen), "graph": made_with}
+    artifacts.write_table(arguments.rows, found.rows, protocol.ROWS, metadata)
+    artifacts.write_table(arguments.trajectories, found.trajectories, protocol.TRAJECTORIES, metadata)
+    frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)
+    consistency_map.write(arguments.consistency, found.cells, frame, metadata)
+    artifacts.write_table(arguments.map_thinning, found.thinned, map_thinning.SCHEMA, metadata)
+
+
+def solve(
+    graph: SurveyGraph, methods: protocol.Methods, submaps: Iterable[submap.Submap], chosen: protocol.Settings
+) -> Found:
+    """Return what the benchmark finds, and what its maps' errors are."""
     clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
     measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
     map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
     rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)
-    for sentence in slam_benchmark.unsolved(rows):
-        print(sentence, file=sys.stderr)
-    metadata = {"survey": name, "slam": settings.as_metadata(chosen), "graph": made_with}
-    artifacts.write_table(arguments.rows, rows, protocol.ROWS, metadata)
-    artifacts.write_table(arguments.trajectories, trajectories, protocol.TRAJECTORIES, metadata)
-    frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)
     cells = consistency_map.of_trajectories(trajectories, measure.cells)
-    consistency_map.write(arguments.consistency, cells, frame, metadata)
-    thinned = map_thinning.table(name, clouds, graph.gt, chosen.map_cell_m)
-    artifacts.write_table(arguments.map_thinning, thinned, map_thinning.SCHEMA, metadata)
+    return Found(rows, trajectories, cells, map_thinning.table(graph.survey, clouds, graph.gt, chosen.map_cell_m))
+
+
+def no_track() -> Found:
+    """Return what is written of a graph without a track: tables without rows, and cells without errors."""
+    schemas = (protocol.ROWS, protocol.TRAJECTORIES, map_thinning.SCHEMA)
+    rows, trajectories, thinned = (schema.empty_table().to_pandas() for schema in schemas)
+    # by a name, because a raster has one band at least
+    return Found(rows, trajectories, {"no track": Cells(*np.empty((3, 0), np.int64))}, thinned)
 
 
 if __name__ == "__main__":

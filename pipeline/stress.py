@@ -1,6 +1,7 @@
 """Optimise a survey's graph with wrong loop closures among the true, by robust estimators."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from pointnetkl import artifacts, command, settings, submap
 from pointnetkl.covariance import table
 from pointnetkl.slam import false_closures, graph_file, loop_gate, protocol, stress
+from pointnetkl.slam.survey_graph import SurveyGraph
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -16,23 +18,28 @@ def main(arguments: argparse.Namespace) -> None:
     chosen = settings.read(arguments.params, "stress", stress.Settings)
     slam = settings.read(arguments.params, "slam", protocol.Settings)
     file = graph_file.read(arguments.graph, name)
-    graph, made_with = file.graph, file.made_with
     cell, coverage = file.number("graph.cell_factor") * file.number("spacing_m"), file.number("graph.coverage")
     artifacts.require_survey(name, arguments.submaps)
     covariances = table.read((arguments.estimated, arguments.predicted), name)
     methods = stress.chosen(protocol.by_method(covariances, slam.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
-    known = bool(np.isfinite(graph.truth).all())
-    apart = false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if known else graph.gt, cell))
-    case = stress.Case(graph, methods, apart, slam.yaw_sigma_rad, chosen)
-    rows = stress.benchmark(case)
-    corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
-    gate = loop_gate.table(graph, clouds, corrupted, cell, coverage)
+    clouds = protocol.clouds_of(file.graph, {s.number: s.points for s in submaps})
+    rows, gate = (schema.empty_table().to_pandas() for schema in (stress.ROWS, loop_gate.GATE))
+    if file.graph.track:  # without one there is nothing to optimise
+        case = stress.Case(file.graph, methods, apart(file.graph, clouds, cell), slam.yaw_sigma_rad, chosen)
+        rows = stress.benchmark(case)
+        corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
+        gate = loop_gate.table(file.graph, clouds, corrupted, cell, coverage)
     of_slam = {"yaw_sigma_rad": slam.yaw_sigma_rad, "floor_m2": slam.floor_m2}
-    metadata = {"survey": name, "stress": settings.as_metadata(chosen), "slam": of_slam, "graph": made_with}
+    metadata = {"survey": name, "stress": settings.as_metadata(chosen), "slam": of_slam, "graph": file.made_with}
     artifacts.write_table(arguments.rows, rows, stress.ROWS, metadata)
     artifacts.write_table(arguments.gate, gate, loop_gate.GATE, metadata)
+
+
+def apart(graph: SurveyGraph, clouds: Sequence[np.ndarray], cell: float) -> np.ndarray:
+    """Return the pairs (p, 2) of nodes that do not overlap where they truly lie (where GT has them, if not known)."""
+    known = bool(np.isfinite(graph.truth).all())
+    return false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if known else graph.gt, cell))
 
 
 if __name__ == "__main__":

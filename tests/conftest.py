@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.survey import Survey
+from whole_survey import Whole
 
 REALDATA = Path(__file__).parents[2] / "shared/realdata"
 
@@ -36,7 +36,7 @@ def sail(
     seabed: Seabed = rolling,
     noise_m: float = 0.05,
     seed: int = 0,
-) -> Survey:
+) -> Whole:
     """Sail parallel lines to and fro over a seabed, 20 m below the surface; turns are not logged."""
     along = np.arange(0.0, line_m + step_m / 2, step_m)
     back = np.repeat(np.arange(lines) % 2, len(along)).astype(bool)
@@ -54,4 +54,4 @@ def sail(
     pz = seabed(px, py) + noise_m * np.random.default_rng(seed).standard_normal(len(px))
     soundings = pd.DataFrame({"ping": ping.astype(np.int32), "beam": np.tile(np.arange(beams, dtype=np.int32), len(x))})
     soundings = soundings.assign(x_m=px, y_m=py, z_m=pz, quality=np.int8(0))
-    return Survey(pings, soundings, "local", (0.0, 0.0))
+    return Whole(pings, soundings)

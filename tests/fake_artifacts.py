@@ -21,6 +21,7 @@ METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure
 CRS = "EPSG:32632"
 REPETITIONS, DRAWS, HELD_OUT = 4, 3, 40
 TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of protocol.ROWS, that figures need
+_DROPPED = {"soundings of bad quality": 10, "soundings standing alone": 4, "pings on turns": 25, "pings in them": 6}
 _WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
 
@@ -111,6 +112,14 @@ def _survey(name: str) -> Fake:
     return Fake(name, pd.DataFrame(rows, columns=submap.POSES.names), clouds, q)
 
 
+def _report(pings: int) -> dict[str, object]:
+    """Return what ingest says that it read of a survey with so many good pings of 40 soundings."""
+    flagged = {"rejected": 7, "impossible": 0, "outliers": 3}
+    counts = {"pings": pings + 2, "soundings": 40 * (pings + 2), "valid": 40 * pings - 10, "reordered": 0}
+    skipped = {"pings that stand twice": 2, "soundings of skipped pings": 80}
+    return {**counts, "flagged": flagged, "skipped": skipped, "problems": []}
+
+
 def _write_survey(data: Path, fake: Fake) -> None:
     rng, poses = _rng(fake.name), fake.poses
     x = np.concatenate([np.linspace(0, 360, 180)[:: 1 - 2 * (line % 2)] for line in range(LINES)])
@@ -120,7 +129,7 @@ def _write_survey(data: Path, fake: Fake) -> None:
         data / f"surveys/{fake.name}/pings.parquet",
         pings.assign(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0),
         survey.PINGS,
-        {"crs": CRS, "origin": [0.0, 0.0]},
+        {"crs": CRS, "origin": [0.0, 0.0], "report": _report(len(pings))},
     )
     across = np.linspace(-40, 40, 40)
     sx, sy = np.repeat(x, 40), (y[:, None] + across).ravel()
@@ -135,7 +144,7 @@ def _write_survey(data: Path, fake: Fake) -> None:
     )
     submaps = [submap.Submap(fake.name, i, p, p[::2], p[1::2]) for i, p in enumerate(fake.clouds)]
     artifacts.write_table(data / f"submaps/{fake.name}.parquet", submap.to_table(submaps), submap.POINTS, {})
-    artifacts.write_table(data / f"submaps/{fake.name}_poses.parquet", poses, submap.POSES, {})
+    artifacts.write_table(data / f"submaps/{fake.name}_poses.parquet", poses, submap.POSES, {"dropped": _DROPPED})
     unit = [voxel.normalised(points) for points in fake.clouds]
     clouds = voxel.Clouds.of(range(len(unit)), [voxel.Canonical(p.astype(np.float32), r) for p, r in unit])
     artifacts.write_arrays(data / f"clouds/{fake.name}.npz", clouds.to_arrays(), {})

@@ -180,3 +180,44 @@ def test_a_table_of_another_survey_is_refused_and_one_that_does_not_say_is_not(t
     artifacts.require_survey("borno", *paths[:2])
     with pytest.raises(ArtifactError, match=r"baltic\.parquet: is of survey baltic, not of borno"):
         artifacts.require_survey("borno", *paths)
+
+
+ROWS = pa.schema([("a", pa.int32()), ("b", pa.float64())])
+
+
+def rows(count: int) -> pd.DataFrame:
+    return pd.DataFrame({"a": np.arange(count, dtype=np.int32), "b": np.linspace(0, 1, count)})
+
+
+def test_a_table_written_in_parts_is_the_same_whatever_the_parts(tmp_path: Path):
+    whole = rows(200_000)
+    for size in (1000, 65_536, 200_000):
+        with artifacts.TableWriter(tmp_path / f"{size}.parquet", ROWS) as writer:
+            for begin in range(0, len(whole), size):
+                writer.write(whole[begin : begin + size])
+            writer.metadata = {"known": "last"}
+    assert artifacts.read_table(tmp_path / "1000.parquet", ROWS).equals(whole)
+    assert artifacts.table_metadata(tmp_path / "1000.parquet") == {"known": "last"}
+    contents = {path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(contents) == 1
+
+
+def test_a_table_without_parts_is_empty(tmp_path: Path):
+    with artifacts.TableWriter(tmp_path / "t.parquet", ROWS):
+        pass
+    assert artifacts.read_table(tmp_path / "t.parquet", ROWS).empty
+
+
+def test_a_table_that_is_not_finished_leaves_what_stood_there(tmp_path: Path):
+    path = tmp_path / "t.parquet"
+    path.write_text("before")
+    with pytest.raises(KeyError), artifacts.TableWriter(path, ROWS) as writer:  # noqa: PT012
+        writer.write(rows(100_000))
+        raise KeyError
+    with (
+        pytest.raises(artifacts.ArtifactError, match="does not have its columns"),
+        artifacts.TableWriter(path, ROWS) as writer,
+    ):
+        writer.write(rows(3).drop(columns="b"))
+    assert [file.name for file in tmp_path.iterdir()] == ["t.parquet"]
+    assert path.read_text() == "before"

@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 
 def ingest(folder: Path, *changes: str) -> subprocess.CompletedProcess[str]:
     """Run the stage's script on the raw pings and the truth of a folder."""
-    (folder / "params.yaml").write_text("ingest: {seed: 0, utm_zone: auto}\n")
+    outliers = "{sigmas: 8.0, depth_share: 0.05}"
+    (folder / "params.yaml").write_text(f"ingest: {{seed: 0, utm_zone: auto, outliers: {outliers}}}\n")
     command = [sys.executable, ROOT / "pipeline/ingest.py", "mine", "--params", folder / "params.yaml"]
     command += [
         "--raw",
@@ -49,7 +50,7 @@ def trajectory(**columns: object) -> pd.DataFrame:
 def test_three_tables_and_a_summary_come_out(folder: Path):
     result = ingest(folder)
     assert result.returncode == 0, result.stderr
-    assert "mine: 20 pings, 100 soundings, 100 valid, track 0.190 km, depth 50.0 to 54.0 m, EPSG:32633" in result.stdout
+    assert "mine: 20 pings, 100 soundings, 100 valid, track 190 m, depth 50.00 to 54.00 m, EPSG:32633" in result.stdout
     assert "skipped: nothing" in result.stdout
     pings = artifacts.read_table(folder / "out/pings.parquet", PINGS)
     soundings = artifacts.read_table(folder / "out/soundings.parquet", SOUNDINGS)
@@ -71,7 +72,8 @@ def test_every_table_says_whence_it_came(folder: Path):
         assert metadata["crs"] == "EPSG:32633"
         assert metadata["origin"] == [5e5, 6e6]
         assert metadata["report"]["pings"] == 20
-        assert metadata["params"] == {"seed": 0, "utm_zone": "auto"}
+        outliers = {"sigmas": 8.0, "depth_share": 0.05}
+        assert metadata["params"] == {"seed": 0, "utm_zone": "auto", "sbet_clock": "gps", "outliers": outliers}
 
 
 def test_the_truth_comes_into_the_map_frame(folder: Path):
@@ -124,6 +126,6 @@ def test_a_zone_that_is_none_is_refused_before_anything_is_read(tmp_path: Path):
 def test_what_is_projected_is_read_without_the_libraries_that_it_does_not_need(folder: Path):
     heavy = {"pyproj", "GSFU", "torch", "numba", "open3d", "matplotlib"}
     code = "import sys; from pathlib import Path; from pointnetkl import readers\n"
-    code += f"readers.read(Path({str(folder / 'raw.parquet')!r}), 'auto')\n"
+    code += f"readers.read(Path({str(folder / 'raw.parquet')!r}), readers.Settings(0, 'auto'), lambda part: None)\n"
     code += f"assert not {heavy} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

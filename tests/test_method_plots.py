@@ -1,5 +1,7 @@
 """Charts of methods: every method has one line in all panels, the best on top, and none is lost beyond an axis."""
 
+import itertools
+
 import numpy as np
 import pandas as pd
 
@@ -74,6 +76,22 @@ def test_what_no_covariance_made_does_not_stretch_the_slam_axis():
     axes = method_plots.slam_error(slam.assign(ci_low=4.9, ci_high=5.3, truth_rmse_xyz_m=None)).axes[0]
     assert axes.get_xlim()[1] < 6
     assert "corrupted: 200 m" in axes.get_title()
+
+
+def test_titles_and_labels_of_many_surveys_do_not_run_into_each_other():
+    rows = [
+        {"survey": f"survey_{i}", "method": method, "rmse_xyz_m": 5.68, "truth_rmse_xyz_m": 13.6, "nees": 1.0}
+        for i in range(6)
+        for method in ("corrupted", "constant")
+    ]
+    table = pd.DataFrame(rows).assign(ci_low=4.9, ci_high=5.3, coverage_95=0.9)
+    for figure in (method_plots.slam_error(table), method_plots.calibration(table)):
+        figure.draw_without_rendering()
+        words = [[axes.title, axes.xaxis.label] for axes in figure.axes]
+        for row in filter(None, (words[:6], words[6:])):
+            for side_by_side in zip(*row, strict=True):
+                boxes = [text.get_window_extent() for text in side_by_side if text.get_text()]
+                assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
 
 
 def test_a_table_without_rows_makes_an_empty_figure():

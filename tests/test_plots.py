@@ -69,6 +69,12 @@ EVERY: dict[str, Callable[[], Figure]] = {
 }
 
 
+def test_the_whisker_of_a_small_label_is_not_cut_off():
+    labels = {"small": np.geomspace([1e-5, 1e-3], [1e-3, 1e-2], 20), "large": np.full((20, 2), 9.0)}
+    axes = plots.eigenvalues(labels, 9.0, 0.01).axes[0]
+    assert axes.get_xlim()[0] < np.quantile(labels["small"], 0.05)
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_a_figure_is_small_the_same_bytes_twice_and_has_no_date(name: str):
     first, second = plots.png(EVERY[name]()), plots.png(EVERY[name]())

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 from pyproj import Geod, Transformer
 
-from pointnetkl import readers
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.survey import PINGS, SOUNDINGS, Survey, track_length
+from pointnetkl.readers.recording import IMPOSSIBLE
+from pointnetkl.survey import PINGS, SOUNDINGS, track_length
+from whole_survey import SETTINGS, Whole
+from whole_survey import read as read_whole
 
 
 def rows(pings: int = 4, beams: int = 5, heading: float = 0.0, **columns: Any) -> pd.DataFrame:
@@ -38,22 +41,22 @@ def parquet(path: Path, table: pd.DataFrame, crs: str | None = "EPSG:32633") -> 
     return path
 
 
-def read(path: Path, table: pd.DataFrame, **how: Any) -> Survey:
+def read(path: Path, table: pd.DataFrame, **how: Any) -> Whole:
     """Write generic pings and read them back."""
-    return readers.read(parquet(path / "raw.parquet", table, **how), "auto")
+    return read_whole(parquet(path / "raw.parquet", table, **how))
 
 
 def refusal(path: Path, zone: str = "auto") -> str:
     """Return the sentence with which a path is refused."""
     with pytest.raises(PointNetKLError) as caught:
-        readers.read(path, zone)
+        read_whole(path, replace(SETTINGS, utm_zone=zone))
     sentence = str(caught.value)
     assert "\n" not in sentence
     assert len(sentence) < 500
     return sentence
 
 
-def on_map(survey: Survey) -> np.ndarray:
+def on_map(survey: Whole) -> np.ndarray:
     """Return soundings (n, 2) in the survey's CRS."""
     return survey.soundings[["x_m", "y_m"]].to_numpy() + survey.origin
 
@@ -105,7 +108,7 @@ def test_a_survey_that_crosses_into_another_utm_zone_stays_in_its_first(tmp_path
 
 def test_a_zone_that_is_given_is_taken(tmp_path: Path):
     path = parquet(tmp_path / "raw.parquet", geographic(5.99, 55.0))
-    assert readers.read(path, "EPSG:32632").crs == "EPSG:32632"
+    assert read_whole(path, replace(SETTINGS, utm_zone="EPSG:32632")).crs == "EPSG:32632"
     assert "EPSG:4326" in refusal(path, "EPSG:4326")
     assert "not a map in metres" in refusal(path, "EPSG:2263")  # New York in feet
 
@@ -113,18 +116,18 @@ def test_a_zone_that_is_given_is_taken(tmp_path: Path):
 def test_parquet_and_csv_give_the_same_survey(tmp_path: Path):
     raw = geographic(12.3456789, 60.5)
     raw.to_csv(tmp_path / "RAW.CSV", index=False)
-    survey, other = read(tmp_path, raw), readers.read(tmp_path / "RAW.CSV", "auto")
+    survey, other = read(tmp_path, raw), read_whole(tmp_path / "RAW.CSV")
     pd.testing.assert_frame_equal(survey.soundings, other.soundings)
     pd.testing.assert_frame_equal(survey.pings.drop(columns="file"), other.pings.drop(columns="file"))
 
 
 def test_the_crs_may_stand_in_a_column_or_beside_the_file(tmp_path: Path):
     rows().assign(crs="EPSG:3067").to_csv(tmp_path / "column.csv", index=False)
-    assert readers.read(tmp_path / "column.csv", "auto").crs == "EPSG:3067"
+    assert read_whole(tmp_path / "column.csv").crs == "EPSG:3067"
     rows().to_csv(tmp_path / "beside.csv", index=False)
-    assert readers.read(tmp_path / "beside.csv", "auto").crs == "local"
+    assert read_whole(tmp_path / "beside.csv").crs == "local"
     (tmp_path / "beside.crs").write_text("EPSG:3067\n")
-    assert readers.read(tmp_path / "beside.csv", "auto").crs == "EPSG:3067"
+    assert read_whole(tmp_path / "beside.csv").crs == "EPSG:3067"
 
 
 def test_files_of_a_folder_make_one_survey_in_the_order_of_time(tmp_path: Path):
@@ -134,7 +137,7 @@ def test_files_of_a_folder_make_one_survey_in_the_order_of_time(tmp_path: Path):
     parquet(tmp_path / "b.PARQUET", raw[early])
     (tmp_path / ".gitignore").write_text("/raw\n")
     (tmp_path / "raw.dvc").write_text("outs: []\n")
-    survey = readers.read(tmp_path, "auto")
+    survey = read_whole(tmp_path)
     assert list(survey.pings["file"]) == ["b.PARQUET"] * 2 + ["a.parquet"] * 2
     assert survey.pings["time_s"].is_monotonic_increasing
     pd.testing.assert_frame_equal(survey.soundings, read(tmp_path.parent, raw).soundings)
@@ -143,10 +146,35 @@ def test_files_of_a_folder_make_one_survey_in_the_order_of_time(tmp_path: Path):
 def test_a_file_that_stands_twice_counts_once(tmp_path: Path):
     parquet(tmp_path / "a.parquet", rows())
     shutil.copy(tmp_path / "a.parquet", tmp_path / "b.parquet")
-    survey = readers.read(tmp_path, "auto")
+    survey = read_whole(tmp_path)
     assert len(survey.pings) == 4
-    assert survey.report["skipped"]["pings at a time that another file has too"] == 4
+    assert survey.report["skipped"]["pings that another file has too"] == 4
     assert survey.report["files"] == 2
+
+
+def test_the_heads_of_a_sonar_that_are_logged_into_two_files_are_both_kept(tmp_path: Path):
+    for name, side in (("port", -1.0), ("starboard", 1.0)):
+        parquet(tmp_path / f"{name}.parquet", rows(beams=9, across_m=side * np.tile(np.arange(2.0, 20.0, 2.0), 4)))
+    shutil.copy(tmp_path / "port.parquet", tmp_path / "again.parquet")
+    survey = read_whole(tmp_path)
+    assert sorted(survey.pings["file"]) == ["again.parquet"] * 4 + ["starboard.parquet"] * 4
+    assert survey.report["skipped"] == {"pings that another file has too": 4, "soundings of skipped pings": 36}
+
+
+def test_a_line_that_lies_there_as_recorded_and_as_processed_counts_once(tmp_path: Path):
+    raw = rows(beams=9)
+    parquet(tmp_path / "a.parquet", raw)
+    better = raw.assign(down_m=raw["down_m"] + 0.4, across_m=1.001 * raw["across_m"], x_m=raw["x_m"] + 0.3)
+    parquet(tmp_path / "b.parquet", better)
+    assert read_whole(tmp_path).report["skipped"]["pings that another file has too"] == 4
+
+
+def test_two_vehicles_that_ping_at_one_time_are_both_kept(tmp_path: Path):
+    parquet(tmp_path / "a.parquet", rows())
+    parquet(tmp_path / "b.parquet", rows().assign(y_m=6e6 + 60.0, down_m=30.5))
+    survey = read_whole(tmp_path)
+    assert len(survey.pings) == 8
+    assert survey.report["skipped"] == {}
 
 
 def test_rows_in_any_order_give_the_same_survey(tmp_path: Path):
@@ -215,6 +243,22 @@ def test_a_table_that_is_not_one_of_pings_is_refused_in_a_sentence(tmp_path: Pat
     assert "raw.parquet" in sentence
 
 
+def test_heights_of_lakes_and_of_ground_far_above_the_sea_are_good_where_no_sonar_says_how_deep_it_was(tmp_path: Path):
+    points = "x,y,elevation\n500000,6000000,{0}\n500001,6000001,{0}\n500002,6000000,9500\n"
+    (tmp_path / "a.xyz").write_text(points.format(3812.5))
+    found = read_whole(tmp_path / "a.xyz")
+    assert found.soundings["quality"].to_list() == [0, 0, IMPOSSIBLE]
+    assert found.report["depth_m"] == pytest.approx([-3812.5] * 4, abs=0.01)
+    pose = "VIEWPOINT 0 0 150 0.6 0 0 0.8\n"
+    fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\n"
+    (tmp_path / "a.pcd").write_text(f"{fields}{pose}POINTS 2\nDATA ascii\n10 0 -2\n0 3 -2\n")
+    assert read_whole(tmp_path / "a.pcd").report["depth_m"] == pytest.approx([-148] * 4, abs=0.01)
+    pings = rows().assign(down_m=-150.0, depth_m=0.0)
+    pings.loc[:14, "down_m"] = 50.0
+    (tmp_path / "pings").mkdir()
+    assert read(tmp_path / "pings", pings).soundings["quality"].to_list() == [0] * 15 + [IMPOSSIBLE] * 5
+
+
 def test_latitudes_that_are_metres_are_refused(tmp_path: Path):
     assert "latitude_deg is 6e+06" in refusal(parquet(tmp_path / "raw.parquet", geographic(15.0, 6e6)))
 
@@ -243,8 +287,27 @@ def test_what_is_not_there_or_unknown_is_refused(tmp_path: Path):
     assert "empty.gsf: is empty" in refusal(tmp_path)
     (tmp_path / "empty.gsf").write_bytes(b"this is not GSF at all")
     assert "byte 8 must say GSF" in refusal(tmp_path)
-    (tmp_path / "empty.gsf").rename(tmp_path / "notes.txt")
-    assert "notes.txt: is of no known format" in refusal(tmp_path)
+    (tmp_path / "empty.gsf").rename(tmp_path / "notes.md")
+    assert "notes.md: is of no known format" in refusal(tmp_path / "notes.md")
+    assert "has no raw files, and 1 file of no known format, notes.md; put some there" in refusal(tmp_path)
+
+
+def test_what_stands_beside_raw_files_and_is_none_is_passed_over_and_told(tmp_path: Path):
+    alone = read(tmp_path, rows())
+    (tmp_path / "README.txt").write_text("about these lines\n")
+    (tmp_path / "prices.csv").write_text("item,price\ncoffee,3\n")
+    (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8\xff\xe0\0\x10JFIF")
+    (tmp_path / "line.log").touch()
+    (tmp_path / "map.tif").write_bytes(b"II*\0")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/report.pdf").write_bytes(b"%PDF-1.4\n")
+    survey = read_whole(tmp_path)
+    pd.testing.assert_frame_equal(survey.soundings, alone.soundings)
+    assert survey.report["problems"] == [
+        "passed over: 6 files of no known format, README.txt, line.log, map.tif, and 3 more"
+    ]
+    (tmp_path / "cut.GSF").write_bytes(b"cut off")
+    assert "cut.GSF" in refusal(tmp_path)
 
 
 def test_files_in_different_coordinates_are_refused(tmp_path: Path):
@@ -286,7 +349,7 @@ def outcome_of(path: Path, content: bytes) -> str:
     """Read a damaged file: what comes out is a sentence, or a survey of finite numbers."""
     path.write_bytes(content)
     try:
-        survey = readers.read(path, "auto")
+        survey = read_whole(path)
     except PointNetKLError as error:
         return str(error)
     assert np.isfinite(survey.soundings.to_numpy(float)).all()

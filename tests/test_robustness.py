@@ -1,5 +1,6 @@
 """The report's part on wrong loop closures: what is counted, what is shown, and what is said of it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,11 +134,18 @@ def test_figures_are_drawn_of_what_there_is_and_the_same_each_time(found: robust
     drawn = dict(robustness_plots.figures(found))
     assert set(drawn) == {"robustness", "robustness_gate"}
     panels = drawn["robustness"].axes
-    assert len(panels) == 2 * 3  # surveys by kernels
+    assert len(panels) == 3  # kernels, of the one survey that has loop closures
     assert len(panels[0].get_lines()) == 3  # methods
     again = dict(robustness_plots.figures(found))
     for name, figure in drawn.items():
         assert plots.png(figure) == plots.png(again[name])
+
+
+def test_a_survey_without_loop_closures_has_no_panels(found: robustness.Found):
+    mine = replace(found, rows=found.rows[found.rows["survey"] == "mine"])
+    for figure in dict(robustness_plots.figures(mine)).values():
+        assert not figure.axes
+        assert [text.get_text() for text in figure.texts] == ["no test survey has loop closures"]
 
 
 def test_a_study_without_test_surveys_has_empty_tables(tmp_path: Path):

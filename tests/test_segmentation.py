@@ -7,36 +7,40 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import whole_survey
 from conftest import sail
 from pointnetkl import artifacts, pose, segmentation, spacing, survey, track
-from pointnetkl.segmentation import Segmentation, SegmentationError, Settings
+from pointnetkl.segmentation import SegmentationError, Settings
+from pointnetkl.soundings import SoundingsError
 from pointnetkl.submap import POINTS, POSES, from_table, to_table
-from pointnetkl.survey import Survey
+from whole_survey import Cut, Whole
 
 SPACING_M = 4.0
 ROOT = Path(__file__).parents[1]
 
 
-def cut(one: Survey, length_m: float = 100.0, seed: int = 1) -> Segmentation:
-    return segmentation.segment("small", one.pings, one.soundings, length_m, SPACING_M, Settings(seed, 30.0))
+def cut(one: Whole, length_m: float = 100.0, seed: int = 1) -> Cut:
+    return whole_survey.cut(
+        segmentation.segment, "small", one.pings, [one.soundings], length_m, SPACING_M, Settings(seed, 30.0)
+    )
 
 
 @pytest.fixture(scope="module")
-def small() -> Survey:
+def small() -> Whole:
     return sail()
 
 
 @pytest.fixture(scope="module")
-def found(small: Survey) -> Segmentation:
+def found(small: Whole) -> Cut:
     return cut(small)
 
 
-def map_points(found: Segmentation, number: int, points: np.ndarray) -> np.ndarray:
+def map_points(found: Cut, number: int, points: np.ndarray) -> np.ndarray:
     row = found.poses.iloc[number]
     return pose.transform(pose.matrix(row[["x_m", "y_m", "z_m"]].to_numpy(float), row["yaw_rad"]), points)
 
 
-def test_every_submap_has_the_same_track_length(small: Survey, found: Segmentation):
+def test_every_submap_has_the_same_track_length(small: Whole, found: Cut):
     assert len(found.submaps) == 6
     assert (found.poses["track_m"] == 100.0).all()
     assert found.poses["pings"].between(100, 101).all()
@@ -59,11 +63,11 @@ def test_a_gap_and_a_turn_that_was_not_logged_end_a_line():
 
 def test_a_submap_on_a_turn_is_dropped_and_counted():
     angle = np.linspace(0, 2 * np.pi, 101)  # a loop of 100 m
-    loop = track.cut(100 / (2 * np.pi) * np.c_[np.sin(angle), -np.cos(angle)], angle, 99.9, 30.0)
+    loop = track.cut(100 / (2 * np.pi) * np.c_[np.sin(angle), -np.cos(angle)], angle, 99.9, 30.0, 9.0)
     assert [stretch.straight for stretch in loop.stretches] == [False]
 
 
-def test_the_frame_stands_at_the_middle_ping_and_points_along_the_track(small: Survey, found: Segmentation):
+def test_the_frame_stands_at_the_middle_ping_and_points_along_the_track(small: Whole, found: Cut):
     for row in found.poses.itertuples():
         ping = small.pings[small.pings["time_s"] == row.time_s].iloc[0]
         assert (row.x_m, row.y_m, row.z_m) == (ping["x_m"], ping["y_m"], ping["z_m"])
@@ -75,20 +79,20 @@ def test_the_frame_stands_at_the_middle_ping_and_points_along_the_track(small: S
         assert abs(one.points[:, 0].mean()) < 2  # the middle ping is in the middle
 
 
-def test_noisy_headings_do_not_turn_the_frame(small: Survey, found: Segmentation):
+def test_noisy_headings_do_not_turn_the_frame(small: Whole, found: Cut):
     noise = 0.1 * np.random.default_rng(3).standard_normal(len(small.pings))
-    noisy = Survey(small.pings.assign(yaw_rad=small.pings["yaw_rad"] + noise), small.soundings, "local", (0.0, 0.0))
+    noisy = Whole(small.pings.assign(yaw_rad=small.pings["yaw_rad"] + noise), small.soundings)
     assert cut(noisy).poses.equals(found.poses)
 
 
-def test_points_keep_their_place_on_the_map(small: Survey, found: Segmentation):
+def test_points_keep_their_place_on_the_map(small: Whole, found: Cut):
     everywhere = small.soundings[["x_m", "y_m", "z_m"]].to_numpy()
     for one in found.submaps:
         distance, _ = spacing.cKDTree(everywhere).query(map_points(found, one.number, one.points))
         assert distance.max() < 1e-9
 
 
-def test_the_halves_come_from_alternate_pings(small: Survey, found: Segmentation):
+def test_the_halves_come_from_alternate_pings(small: Whole, found: Cut):
     xyz, ping = small.soundings[["x_m", "y_m", "z_m"]].to_numpy(), small.soundings["ping"].to_numpy()
     tree = spacing.cKDTree(xyz)
     for one in found.submaps:
@@ -97,12 +101,12 @@ def test_the_halves_come_from_alternate_pings(small: Survey, found: Segmentation
         assert first[0] % 2 != second[0] % 2
 
 
-def test_the_two_heads_of_a_sonar_stay_in_one_half(small: Survey):
+def test_the_two_heads_of_a_sonar_stay_in_one_half(small: Whole):
     # each ping of the small survey becomes two at one time, one of its port beams, one of its starboard beams
     starboard = small.soundings["beam"] >= 30
     pings = small.pings.loc[small.pings.index.repeat(2)].assign(ping=np.arange(2 * len(small.pings), dtype=np.int32))
     soundings = small.soundings.assign(ping=2 * small.soundings["ping"] + starboard)
-    found = cut(Survey(pings, soundings, "local", (0.0, 0.0)))
+    found = cut(Whole(pings, soundings))
     for one in found.submaps:
         for half in (one.first, one.second):
             assert np.mean(half[:, 1] > 0) == pytest.approx(0.5, abs=0.05)
@@ -110,7 +114,7 @@ def test_the_two_heads_of_a_sonar_stay_in_one_half(small: Survey):
     assert all(np.array_equal(a.first, b.first) for a, b in zip(found.submaps, whole.submaps, strict=True))
 
 
-def test_thinning_leaves_one_point_in_every_occupied_cell(small: Survey, found: Segmentation):
+def test_thinning_leaves_one_point_in_every_occupied_cell(small: Whole, found: Cut):
     for one in found.submaps:
         for part in (one.points, one.first, one.second):
             assert len(np.unique(spacing.cells(part, SPACING_M))) == len(part)
@@ -126,27 +130,34 @@ def test_thinning_prefers_no_sounding_of_a_cell():
     assert np.bincount(drawn, minlength=3) == pytest.approx([1000, 1000, 1000], abs=100)
 
 
-def test_the_order_of_rows_does_not_matter(small: Survey, found: Segmentation):
-    pings, soundings = (t.sample(frac=1, random_state=5) for t in (small.pings, small.soundings))
-    shuffled = cut(Survey(pings, soundings, "local", (0.0, 0.0)))
-    assert shuffled.poses.equals(found.poses)
-    assert to_table(shuffled.submaps).equals(to_table(found.submaps))
+def test_parts_of_any_size_give_the_same_submaps(small: Whole, found: Cut):
+    for rows in (1000, 7777, 10**6):
+        parts = [small.soundings[begin : begin + rows] for begin in range(0, len(small.soundings), rows)]
+        again = whole_survey.cut(segmentation.segment, "small", small.pings, parts, 100.0, SPACING_M, Settings(1, 30.0))
+        assert again.poses.equals(found.poses)
+        assert to_table(again.submaps).equals(to_table(found.submaps))
+        assert again.dropped == found.dropped
 
 
-def test_another_seed_draws_other_soundings(small: Survey, found: Segmentation):
+def test_soundings_out_of_the_order_of_pings_are_refused(small: Whole):
+    with pytest.raises(SoundingsError, match="not in order of ping"):
+        cut(Whole(small.pings, small.soundings.sample(frac=1, random_state=5)))
+
+
+def test_another_seed_draws_other_soundings(small: Whole, found: Cut):
     other = cut(small, seed=2)
     assert other.poses.equals(found.poses)
     assert not np.array_equal(other.submaps[0].points, found.submaps[0].points)
 
 
-def test_a_blunder_is_left_out_and_a_rock_is_kept(small: Survey):
+def test_a_blunder_is_left_out_and_a_rock_is_kept(small: Whole):
     soundings = small.soundings.copy()
     x, y = soundings["x_m"], soundings["y_m"]
     rock = np.hypot(x - x.iloc[3030], y - y.iloc[3030]) < 3
     soundings.loc[rock, "z_m"] += 8
     blunders = np.arange(500, len(soundings), 997)
     soundings.loc[blunders, "z_m"] -= 8
-    left = cut(Survey(small.pings, soundings, "local", (0.0, 0.0)))
+    left = cut(Whole(small.pings, soundings))
     assert len(blunders) == left.dropped["soundings standing alone"]
     assert max(one.points[:, 2].max() for one in left.submaps) > -62 + 20 + 8
 
@@ -162,18 +173,18 @@ def test_a_sounding_far_from_the_swath_is_left_out():
     assert np.flatnonzero(spacing.outlying(points, SPACING_M)).tolist() == [7]
 
 
-def test_soundings_of_bad_quality_or_without_a_position_are_left_out_and_counted(small: Survey):
+def test_soundings_of_bad_quality_or_without_a_position_are_left_out_and_counted(small: Whole):
     soundings = small.soundings.copy()
     soundings.loc[:9, "quality"] = 1
     soundings.loc[10:14, "z_m"] = np.nan
     soundings.loc[15, "x_m"] = 1e30
-    dropped = cut(Survey(small.pings, soundings, "local", (0.0, 0.0))).dropped
+    dropped = cut(Whole(small.pings, soundings)).dropped
     assert (dropped["soundings of bad quality"], dropped["soundings without a valid position"]) == (10, 6)
 
 
-def test_a_submap_of_too_few_points_is_dropped_and_the_numbers_stay_consecutive(small: Survey, found: Segmentation):
+def test_a_submap_of_too_few_points_is_dropped_and_the_numbers_stay_consecutive(small: Whole, found: Cut):
     sparse = small.soundings[~small.soundings["ping"].between(100, 198) | (small.soundings["beam"] == 30)]
-    left = cut(Survey(small.pings, sparse, "local", (0.0, 0.0)))
+    left = cut(Whole(small.pings, sparse))
     assert left.dropped["submaps of too few points"] == 1
     assert left.poses["submap"].tolist() == [one.number for one in left.submaps] == [0, 1, 2, 3, 4]
     assert left.poses["time_s"].tolist() == found.poses["time_s"].drop(1).tolist()
@@ -184,7 +195,7 @@ def test_a_survey_too_short_says_how_long_it_is_and_what_to_change():
         cut(sail(line_m=50.0))
 
 
-def test_a_survey_that_cannot_be_cut_says_why(small: Survey):
+def test_a_survey_that_cannot_be_cut_says_why(small: Whole):
     nowhere = small.pings.assign(x_m=small.pings["x_m"].where(small.pings["ping"] != 7))
     cases = [
         (small.pings, small.soundings.assign(quality=np.int8(1)), "none of its 36120 soundings has quality 0"),
@@ -195,8 +206,8 @@ def test_a_survey_that_cannot_be_cut_says_why(small: Survey):
         (small.pings, small.soundings[::300], "no submap has 50 points or more"),
     ]
     for pings, soundings, message in cases:
-        with pytest.raises(SegmentationError, match=message):
-            cut(Survey(pings, soundings, "local", (0.0, 0.0)))
+        with pytest.raises((SegmentationError, SoundingsError), match=message):
+            cut(Whole(pings, soundings))
 
 
 def segment_stage(folder: Path, name: str = "small") -> subprocess.CompletedProcess[str]:
@@ -205,7 +216,7 @@ def segment_stage(folder: Path, name: str = "small") -> subprocess.CompletedProc
     return subprocess.run(script, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path, small: Survey):
+def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path, small: Whole):
     artifacts.write_table(tmp_path / "pings.parquet", small.pings, survey.PINGS, {})
     artifacts.write_table(tmp_path / "soundings.parquet", small.soundings, survey.SOUNDINGS, {})
     line = "{raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"

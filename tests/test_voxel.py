@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import whole_survey
 from conftest import sail
 from pointnetkl import artifacts, segmentation, submap, voxel
 from pointnetkl.voxel import Canonical, Clouds, VoxelError
@@ -105,7 +106,9 @@ def test_a_voxel_that_is_no_share_of_the_sphere_is_refused(share: float):
 
 def test_the_stage_makes_a_cloud_of_every_submap(tmp_path: Path):
     one = sail(lines=1)
-    found = segmentation.segment("small", one.pings, one.soundings, 100.0, 4.0, segmentation.Settings(0, 30.0))
+    found = whole_survey.cut(
+        segmentation.segment, "small", one.pings, [one.soundings], 100.0, 4.0, segmentation.Settings(0, 30.0)
+    )
     artifacts.write_table(tmp_path / "s.parquet", submap.to_table(found.submaps), submap.POINTS, {})
     (tmp_path / "params.yaml").write_text("voxelise: {seed: 0, voxel: 0.01}\n")
     script = [sys.executable, ROOT / "pipeline/voxelise.py", "small", "--submaps", "s.parquet", "--clouds", "c.npz"]

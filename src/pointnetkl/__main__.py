@@ -1,4 +1,4 @@
-"""`python -m pointnetkl`: a trained model on submaps in files, and pose graphs in and out."""
+"""`python -m pointnetkl`: what raw files hold, a trained model on submaps in files, and pose graphs in and out."""
 
 import argparse
 import importlib

@@ -8,7 +8,8 @@ import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ import pyarrow.parquet as pq
 from pointnetkl.errors import PointNetKLError
 
 _KEY = b"pointnetkl"
+_GROUP_ROWS = 1 << 16
 
 
 class ArtifactError(PointNetKLError):
@@ -59,21 +61,82 @@ def write_table(
         ArtifactError: the frame lacks a column or has one of another type, or the file cannot be written.
     """
     keys = {_KEY: json.dumps(metadata, sort_keys=True).encode()} | ({b"crs": crs.encode()} if crs else {})
-    try:
-        table = pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
-    except (KeyError, pa.ArrowException) as error:
-        raise ArtifactError(f"{path}: the table to write does not have its columns ({_line(error)})") from error
+    table = _as_table(path, frame, schema)
     buffer = io.BytesIO()
     # fixed row groups: the bytes must not depend on the machine's memory, and few of them hold one submap;
     # checksums: a flipped bit is found
     pq.write_table(
         table.replace_schema_metadata(keys),
         buffer,
-        row_group_size=1 << 16,
+        row_group_size=_GROUP_ROWS,
         compression="zstd",
         write_page_checksum=True,
     )
     write_bytes(path, buffer.getvalue())
+
+
+class TableWriter:
+    """A table that need not fit in memory, written part by part: whole in the end, or not at all.
+
+    Used as a context. `metadata` is as write_table takes it, and may be set as late as the last part.
+
+    Raises:
+        ArtifactError: a part lacks a column or has one of another type, or the file cannot be written; what stood
+            there before still does.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        """Begin a table beside the place where it will stand."""
+        self.metadata: Mapping[str, Any] = {}
+        self._path, self._schema = path, schema
+        self._partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
+        self._waiting = schema.empty_table()
+        self._file: Any = None
+
+    def __enter__(self) -> Self:
+        """Return itself; there is no file before there are rows."""
+        return self
+
+    def write(self, frame: pd.DataFrame) -> None:
+        """Add rows."""
+        part = _as_table(self._path, frame, self._schema)
+        self._waiting = pa.concat_tables([self._waiting, part])
+        # groups of one size, whatever the parts: the bytes must not depend on them
+        while len(self._waiting) >= _GROUP_ROWS:
+            self._write_group()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Put the file in its place, unless there was an error."""
+        try:
+            if kind is None:
+                self._write_group()
+                self._finish()
+            elif self._file is not None:
+                self._file.close()
+        finally:
+            with contextlib.suppress(OSError):
+                self._partial.unlink()
+
+    def _write_group(self) -> None:
+        group, self._waiting = self._waiting[:_GROUP_ROWS], self._waiting[_GROUP_ROWS:]
+        with self._told():
+            if self._file is None:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = pq.ParquetWriter(self._partial, self._schema, compression="zstd", write_page_checksum=True)
+            self._file.write_table(group.combine_chunks(), row_group_size=_GROUP_ROWS)
+
+    def _finish(self) -> None:
+        with self._told():
+            self._file.add_key_value_metadata({_KEY: json.dumps(self.metadata, sort_keys=True).encode()})
+            self._file.close()
+            os.replace(self._partial, self._path)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise ArtifactError(f"{self._path}: cannot be written ({error.strerror or _line(error)})") from error
 
 
 def read_table(
@@ -112,7 +175,7 @@ def table_metadata(path: Path) -> dict[str, Any]:
     Raises:
         ArtifactError: the file is missing or damaged.
     """
-    stored = (_guarded(path, lambda: pq.read_schema(path)).metadata or {}).get(_KEY, b"{}")
+    stored = (_guarded(path, lambda: pq.read_metadata(path)).metadata or {}).get(_KEY, b"{}")
     return _object(path, stored)
 
 
@@ -171,6 +234,13 @@ def read_json(path: Path) -> dict[str, Any]:
         ArtifactError: the file is missing or damaged, or holds something else.
     """
     return _object(path, _guarded(path, path.read_bytes))
+
+
+def _as_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
+    try:
+        return pa.Table.from_pandas(frame, schema=schema, preserve_index=False).replace_schema_metadata()
+    except (KeyError, pa.ArrowException) as error:
+        raise ArtifactError(f"{path}: the table to write does not have its columns ({_line(error)})") from error
 
 
 def _checked(path: Path, table: pa.Table, schema: pa.Schema) -> pd.DataFrame:

@@ -37,6 +37,9 @@ SOUNDINGS = pa.schema(
 # The true trajectory, where it is known: the same frame and angles, at its own times.
 TRAJECTORY = pa.schema([(name, pa.float64()) for name in ("time_s", "x_m", "y_m", "z_m", "yaw_rad")])
 
+# Kinds of surveys: swaths of a sonar; a surface without pings; submaps that another program has cut and posed.
+SWATHS, POINTS, SUBMAPS = "pings", "points", "submaps"
+
 
 class SurveyError(PointNetKLError):
     """A survey cannot be read or used."""
@@ -44,12 +47,12 @@ class SurveyError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Survey:
-    """Pings and soundings in a local map frame, and where that frame lies on the earth."""
+    """Pings in a local map frame, and where that frame lies on the earth; the soundings stand apart, they are many."""
 
     pings: pd.DataFrame  # schema PINGS, sorted by time, numbered from 0
-    soundings: pd.DataFrame  # schema SOUNDINGS, sorted by ping, beam
     crs: str  # projected CRS of the map frame, e.g. EPSG:32633; "local" where the data have none
     origin: tuple[float, float]  # easting, northing of the map frame's origin in that CRS, metres
+    kind: str  # SWATHS; POINTS, which have no pings; or SUBMAPS, each a ping
     report: dict[str, Any] = field(default_factory=dict)  # counts read, and skipped with the reason
 
 
@@ -60,13 +63,14 @@ def track_length(pings: pd.DataFrame) -> float:
 
 def summary(survey: Survey) -> str:
     """Return in a line what a survey holds and what of the raw data was left out; a line more for each damage."""
-    good = survey.soundings["z_m"][survey.soundings["quality"] == 0]
+    report = survey.report
     # from the 1st to the 99th percentile, because a single wrong sounding would set the range
-    depths = "depth {:.1f} to {:.1f} m".format(*np.quantile(-good, [0.01, 0.99])) if len(good) else "no depth"
-    skipped = ", ".join(f"{count} {reason}" for reason, count in survey.report.get("skipped", {}).items())
-    damage = "".join(f"\n  {problem}" for problem in survey.report.get("problems", []))
+    depths = "depth {1:.2f} to {2:.2f} m".format(*report["depth_m"]) if "depth_m" in report else "no depth"
+    skipped = ", ".join(f"{count} {reason}" for reason, count in report["skipped"].items())
+    damage = "".join(f"\n  {problem}" for problem in report["problems"])
+    length = track_length(survey.pings)
+    track = f" track {length:,.0f} m," if length >= 100 else f" track {length:.1f} m," if len(survey.pings) else ""
     return (
-        f"{len(survey.pings)} pings, {len(survey.soundings)} soundings, {len(good)} valid,"
-        f" track {track_length(survey.pings) / 1000:.3f} km, {depths}, {survey.crs};"
-        f" skipped: {skipped or 'nothing'}{damage}"
+        f"{len(survey.pings)} pings, {report['soundings']} soundings, {report['valid']} valid,{track}"
+        f" {depths}, {survey.crs}; skipped: {skipped or 'nothing'}{damage}"
     )

@@ -3,4 +3,4 @@
 A new one is a file here and its name in NAMES.
 """
 
-NAMES = ("predict", "slam", "export", "solve")  # in the order of the help
+NAMES = ("inspect", "predict", "slam", "export", "solve")  # in the order of the help

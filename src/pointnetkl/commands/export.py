@@ -44,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     shared.require_apart(arguments.out, arguments.tum)
     how = settings.read(arguments.params, "slam", protocol.Settings)
     survey = graph_file.read(arguments.graph).graph
+    if not survey.track:
+        raise shared.CommandError(f"{arguments.graph}: is of points without a track, so it has no edges to export")
     q = shared.covariances(arguments.covariances, arguments.method, how.floor_m2, survey.survey)
     poses, dead_reckoning = survey.gt, pose_graph.between(survey.gt)
     if arguments.corrupted is not None:

@@ -2,6 +2,7 @@
 
 import io
 import re
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pointnetkl.errors import PointNetKLError
-from pointnetkl.exchange import quaternion, text_lines
+from pointnetkl.exchange import lzf, quaternion, text_lines
 
 _PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"},
@@ -26,12 +27,12 @@ class CloudFileError(PointNetKLError):
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """What a header says of the rows after it."""
 
     row: np.dtype  # a field for each name
     rows: int
-    encoding: str  # ascii or binary
+    encoding: str  # ascii, binary or, of PCD, binary_compressed
 
 
 def read(path: Path) -> np.ndarray:
@@ -53,7 +54,7 @@ def read_posed(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         CloudFileError: the file is missing or damaged, or of a form that has no pose.
     """
-    return _guarded(path, _points), _guarded(path, _viewpoint)
+    return _guarded(path, _points), _guarded(path, viewpoint)
 
 
 def _guarded(path: Path, reading: Callable[[Path, bytes], np.ndarray]) -> np.ndarray:
@@ -68,12 +69,17 @@ def _guarded(path: Path, reading: Callable[[Path, bytes], np.ndarray]) -> np.nda
         raise CloudFileError(f"{path}: is damaged, or no PCD, PLY, NPZ or text of x y z ({reason})") from error
 
 
-def _viewpoint(path: Path, content: bytes) -> np.ndarray:
+def viewpoint(path: Path, content: bytes) -> np.ndarray:
+    """Return the pose (4, 4) that the header of a PCD file has as VIEWPOINT.
+
+    Raises:
+        CloudFileError: there is none, or it is no pose.
+    """
     header = _PCD_HEADER.match(content)
     said = re.search(rb"^VIEWPOINT[ \t]+(.*?)[ \t\r]*$", header[0], re.MULTILINE) if header else None
     if not said:
         raise CloudFileError(f"{path}: holds no pose; write the submap as PCD with its pose as VIEWPOINT")
-    words = said[1].decode().split()
+    words = said[1].decode("latin-1").split()
     if len(words) != 7:
         raise CloudFileError(f"{path}: VIEWPOINT has {len(words)} numbers, must have 7: x y z qw qx qy qz")
     try:
@@ -129,21 +135,68 @@ def _named(path: Path, line: str) -> list[int] | None:
     raise CloudFileError(f"{path}: its columns are {', '.join(names)}; name those of the points x, y and z")
 
 
-def _from_pcd(path: Path, content: bytes) -> np.ndarray:
+def pcd_layout(path: Path, content: bytes) -> tuple[Layout, int]:
+    """Return what the header of a PCD file says of its rows, and the byte where they begin.
+
+    Raises:
+        CloudFileError: the header is cut or damaged.
+    """
     header = _PCD_HEADER.match(content)
     if not header:
         raise CloudFileError(f"{path}: is a PCD file without a line DATA; it may be cut")
-    encoding = header[1].decode().lower()
-    if encoding == "binary_compressed":
-        return _by_open3d(path)
-    words = dict(line.split(None, 1) for line in header[0].decode("latin-1").splitlines() if " " in line)
-    names, counts = words["FIELDS"].split(), words.get("COUNT", "1 " * len(words["FIELDS"].split())).split()
-    kinds = [t.lower() + s for t, s in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)]
-    fields = [
-        (f"{name}{i}" if name not in _AXES else name, f"<{kind}", int(count))
-        for i, (name, kind, count) in enumerate(zip(names, kinds, counts, strict=True))
-    ]
-    return _rows(path, content[header.end() :], _Layout(np.dtype(fields), int(words["POINTS"]), encoding))
+    try:
+        lines = header[0].decode("latin-1").splitlines()
+        words = dict(line.split(None, 1) for line in lines if len(line.split()) > 1)
+        names = words["FIELDS"].split()
+        counts = words.get("COUNT", "1 " * len(names)).split()
+        kinds = [t.lower() + s for t, s in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)]
+        fields = [
+            (f"{name}{i}" if name not in _AXES else name, f"<{kind}", int(count))
+            for i, (name, kind, count) in enumerate(zip(names, kinds, counts, strict=True))
+        ]
+        layout = Layout(np.dtype(fields), int(words["POINTS"]), header[1].decode("latin-1").lower())
+    except Exception as error:  # numpy refuses a type in many ways
+        reason = " ".join(str(error).split())[:80]
+        raise CloudFileError(f"{path}: the header of its PCD is damaged ({reason})") from error
+    if layout.row.hasobject or any(np.prod(layout.row[name].shape) != 1 for name in _AXES if name in names):
+        raise CloudFileError(f"{path}: the header of its PCD is damaged: x, y and z must be one number each")
+    return layout, header.end()
+
+
+def uncompressed(path: Path, body: bytes, layout: Layout) -> np.ndarray:
+    """Return x, y, z (n, 3) of the rows of a PCD file of compressed binary data: column after column.
+
+    Raises:
+        CloudFileError: they are cut or damaged.
+    """
+    if len(body) < 8:
+        raise CloudFileError(f"{path}: is cut; it has 0 of {layout.rows} points")
+    packed, size = struct.unpack_from("<II", body)
+    if size != layout.rows * layout.row.itemsize or packed > len(body) - 8 or layout.rows < 0:
+        raise CloudFileError(
+            f"{path}: is cut or damaged; {layout.rows} points of {layout.row.itemsize} bytes do not fit {size} bytes"
+            f" compressed to {packed}, of which {len(body) - 8} are there"
+        )
+    try:
+        content = lzf.decompress(body[8 : 8 + packed], size)
+    except ValueError as error:
+        raise CloudFileError(f"{path}: {error}") from error
+    axes = []
+    for axis in axes_of(path, layout):
+        begin = _offset(layout.row, axis) * layout.rows
+        axes.append(np.frombuffer(content, layout.row[axis], layout.rows, begin).reshape(-1))
+    return np.column_stack(axes)
+
+
+def _offset(row: np.dtype, name: str) -> int:
+    names = row.names or ()
+    return sum(row[other].itemsize for other in names[: names.index(name)])
+
+
+def _from_pcd(path: Path, content: bytes) -> np.ndarray:
+    layout, begin = pcd_layout(path, content)
+    body = content[begin:]
+    return uncompressed(path, body, layout) if layout.encoding == "binary_compressed" else _rows(path, body, layout)
 
 
 def _from_ply(path: Path, content: bytes) -> np.ndarray:
@@ -161,13 +214,12 @@ def _from_ply(path: Path, content: bytes) -> np.ndarray:
     properties = [w for w in words[first:last] if w[0] == "property"]
     row = np.dtype([(w[-1], order + _PLY_TYPES[w[1]]) for w in properties])
     body = content[header.end() :]
-    return _rows(path, body, _Layout(row, int(elements[0][2]), "ascii" if encoding == "ascii" else "binary"))
+    return _rows(path, body, Layout(row, int(elements[0][2]), "ascii" if encoding == "ascii" else "binary"))
 
 
-def _rows(path: Path, body: bytes, layout: _Layout) -> np.ndarray:
+def _rows(path: Path, body: bytes, layout: Layout) -> np.ndarray:
     """Return x, y, z of a header's rows; a library that fills up a cut file with zeros would be no help."""
-    if missing := [axis for axis in _AXES if axis not in (layout.row.names or ())]:
-        raise CloudFileError(f"{path}: its points have no {missing[0]}")
+    axes_of(path, layout)
     if layout.rows < 0:
         raise CloudFileError(f"{path}: is damaged; its header says that it has {layout.rows} points")
     lines = body.splitlines()[: layout.rows] if layout.encoding == "ascii" else []
@@ -175,23 +227,24 @@ def _rows(path: Path, body: bytes, layout: _Layout) -> np.ndarray:
     if held < layout.rows:
         raise CloudFileError(f"{path}: is cut; it has {held} of {layout.rows} points")
     if layout.encoding == "ascii":
-        return np.loadtxt(lines, usecols=_columns(layout.row), ndmin=2, comments=None)
+        return np.loadtxt(lines, usecols=columns_of(layout.row), ndmin=2, comments=None)
     rows = np.frombuffer(body, layout.row, layout.rows)
     return np.column_stack([rows[axis].reshape(layout.rows) for axis in _AXES])
 
 
-def _columns(row: np.dtype) -> list[int]:
-    """Return which words of a line are x, y and z; a field may be of several."""
+def axes_of(path: Path, layout: Layout) -> tuple[str, ...]:
+    """Return the names of the coordinates.
+
+    Raises:
+        CloudFileError: one of them is missing.
+    """
+    if missing := [axis for axis in _AXES if axis not in (layout.row.names or ())]:
+        raise CloudFileError(f"{path}: its points have no {missing[0]}")
+    return _AXES
+
+
+def columns_of(row: np.dtype) -> list[int]:
+    """Return which words of a line of text are x, y and z; a field may be of several."""
     names = row.names or ()
     widths = [int(np.prod(row[name].shape)) for name in names]
     return [sum(widths[: names.index(axis)]) for axis in _AXES]
-
-
-def _by_open3d(path: Path) -> np.ndarray:
-    import open3d  # 1.7 s: only for who needs it
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        points = np.asarray(open3d.io.read_point_cloud(path, format="pcd").points)
-    if not len(points):
-        raise CloudFileError(f"{path}: is a compressed PCD file that cannot be read; it may be cut")
-    return points

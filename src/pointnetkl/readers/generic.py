@@ -7,6 +7,8 @@ grid north with x_m); along_m (forward), across_m (to starboard), down_m (down f
 roll_rad, pitch_rad, beam, quality (0: good).
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pointnetkl.errors import printable
 from pointnetkl.readers import projection
-from pointnetkl.readers.georeference import REJECTED, Recording
+from pointnetkl.readers.recording import PART, REJECTED, Recording
 from pointnetkl.survey import SurveyError
 
 SUFFIXES = (".parquet", ".csv")
@@ -26,6 +29,8 @@ _OPTIONAL = ("roll_rad", "pitch_rad", "beam", "quality")
 _PROJECTED, _GEOGRAPHIC = ("x_m", "y_m"), ("longitude_deg", "latitude_deg")
 _SOUNDING = ("along_m", "across_m", "down_m")
 _HEADER_BYTES = 1 << 16
+_BLOCK = 1 << 21  # bytes of text that are read at once
+_LARGE, _BUFFER = 1 << 26, 1 << 20  # bytes of a file whose columns are read so many bytes at once
 _SAME = 1e-6  # how much navigation may differ within a ping: rounding, in metres or radians
 
 Columns = dict[str, np.ndarray]
@@ -40,42 +45,88 @@ def begins(head: bytes) -> bool:
     return head.startswith(b"PAR1") or b"time_s" in head.split(b"\n", 1)[0]
 
 
-def read(path: Path) -> Recording:
-    """Read one file of generic pings.
+def read(path: Path) -> Iterator[Recording]:
+    """Read one file of generic pings in parts of whole pings; a ping's rows may stand anywhere within one part.
 
     Raises:
         GenericError: the file is damaged, lacks a column, or a column is not numeric or not in its unit.
     """
     # by the name as well: a Parquet file with a damaged head is no table of text
     parquet = path.suffix.lower() == ".parquet" or path.open("rb").read(4) == b"PAR1"
-    columns, crs = _read_parquet(path) if parquet else _read_csv(path)
-    skipped: dict[str, int] = {}
-    columns = _timed(columns, skipped)
-    columns, problems = _in_time_order(path, columns)
-    _check_units(path, columns)
-    begin = np.flatnonzero(np.diff(columns["time_s"], prepend=-np.inf) > 0)
-    ping = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(columns["time_s"]))))
-    pings = _pings(path, columns, begin, ping)
-    return Recording(path.name, crs, pings, _soundings(columns, begin, ping), skipped, problems)
+    order, crs = _Order(), ""
+    for columns, named, last in _with_last(_read_parquet(path) if parquet else _read_csv(path)):
+        if crs not in ("", named):
+            raise GenericError(f"{path}: column crs must name one coordinate system, it has {[crs, named]}")
+        crs, skipped = named, dict[str, int]()
+        _check_units(path, columns := order.whole_pings(_timed(columns, skipped), last))
+        begin = np.flatnonzero(np.diff(columns["time_s"], prepend=-np.inf) > 0)
+        ping = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(columns["time_s"]))))
+        pings, soundings = _pings(path, columns, begin, ping), _soundings(columns, begin, ping)
+        yield Recording(path.name, crs, pings, soundings, skipped, order.problems(path) if last else [])
 
 
-def _read_parquet(path: Path) -> tuple[Columns, str]:
+@dataclass
+class _Order:
+    """Brings rows into the order of time, and holds back a block's last ping, which may go on in the next."""
+
+    rest: Columns = field(default_factory=dict)
+    latest: float = -np.inf  # time of the row before
+    early: int = 0  # rows that went back in time
+
+    def whole_pings(self, columns: Columns, last: bool) -> Columns:
+        """Return the rows that are ready, in order."""
+        time = columns["time_s"]
+        if len(time):
+            self.early += int(np.sum(np.diff(time, prepend=self.latest) < 0))
+            self.latest = float(time[-1])
+        if self.rest:
+            columns = {name: np.concatenate([self.rest[name], column]) for name, column in columns.items()}
+        time = columns["time_s"]
+        if np.any(np.diff(time) < 0):
+            order = np.argsort(time, kind="stable")
+            columns = {name: column[order] for name, column in columns.items()}
+            time = columns["time_s"]
+        count = len(time) if last or not len(time) else int(np.searchsorted(time, time[-1]))
+        self.rest = {name: column[count:] for name, column in columns.items()}
+        return {name: column[:count] for name, column in columns.items()}
+
+    def problems(self, path: Path) -> list[str]:
+        """Return a sentence if rows were not in order."""
+        return [f"{path.name}: its rows went back in time {self.early} times, and were sorted"] if self.early else []
+
+
+def _with_last(blocks: Iterator[tuple[Columns, str]]) -> Iterator[tuple[Columns, str, bool]]:
+    before = next(blocks)
+    for block in blocks:
+        yield *before, False
+        before = block
+    yield *before, True
+
+
+def _read_parquet(path: Path) -> Iterator[tuple[Columns, str]]:
     try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
-        schema = file.schema_arrow
-        names = _wanted(path, schema.names)
-        for name in names:
-            if not (pa.types.is_integer(kind := schema.field(name).type) or pa.types.is_floating(kind)):
-                raise GenericError(f"{path}: column {name} holds {kind}, must hold numbers")
-        crs = (schema.metadata or {}).get(b"crs")
-        marked = ["crs"] if crs is None and "crs" in schema.names else []
-        table = file.read([*names, *marked])
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise GenericError(f"{path}: is a damaged Parquet file ({_line(error)}); copy or make it again") from error
-    return _numbers(table, names), _crs(path, table, crs, names)
+        # read through a buffer, a page of a damaged size is allocated as large as it says; else a row group is at once
+        buffer = _BUFFER if path.stat().st_size > _LARGE else 0
+        with pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False, buffer_size=buffer) as file:
+            schema = file.schema_arrow
+            names = _wanted(path, schema.names)
+            for name in names:
+                if not (pa.types.is_integer(kind := schema.field(name).type) or pa.types.is_floating(kind)):
+                    raise GenericError(f"{path}: column {name} holds {kind}, must hold numbers")
+            crs = (schema.metadata or {}).get(b"crs")
+            chosen = [*names, *(["crs"] if crs is None and "crs" in schema.names else [])]
+            empty = True
+            for batch in file.iter_batches(batch_size=PART, columns=chosen):
+                yield _numbers(batch, names), _crs(path, batch, crs, names)
+                empty = False
+            if empty:
+                table = schema.empty_table()
+                yield _numbers(table, names), _crs(path, table, crs, names)
+    except (pa.ArrowException, OSError, MemoryError, UnicodeError) as error:
+        raise GenericError(f"{path}: is a damaged Parquet file ({printable(error)}); copy or make it again") from error
 
 
-def _read_csv(path: Path) -> tuple[Columns, str]:
+def _read_csv(path: Path) -> Iterator[tuple[Columns, str]]:
     from pyarrow import csv
 
     with path.open("rb") as file:
@@ -87,15 +138,19 @@ def _read_csv(path: Path) -> tuple[Columns, str]:
         column_types=dict.fromkeys(names, pa.float64()) | dict.fromkeys(marked, pa.string()),
         include_columns=[*names, *marked],
     )
+    reading = csv.ReadOptions(
+        column_names=found, skip_rows=1, use_threads=False, block_size=_BLOCK
+    )  # so it counts rows
     try:
-        table = csv.read_csv(
-            path,
-            read_options=csv.ReadOptions(column_names=found, skip_rows=1, use_threads=False),  # so it counts rows
-            convert_options=convert,
-        )
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise GenericError(f"{path}: is not a table of numbers ({_line(error)})") from error
-    return _numbers(table, names), _crs(path, table, None, names)
+        with csv.open_csv(path, read_options=reading, convert_options=convert) as blocks:
+            empty = True
+            for block in blocks:
+                yield _numbers(block, names), _crs(path, block, None, names)
+                empty = False
+            if empty:
+                yield {name: np.empty(0) for name in names}, projection.LOCAL
+    except (pa.ArrowException, OSError, MemoryError, UnicodeError) as error:
+        raise GenericError(f"{path}: is not a table of numbers ({printable(error)})") from error
 
 
 def _wanted(path: Path, found: list[str]) -> list[str]:
@@ -104,26 +159,27 @@ def _wanted(path: Path, found: list[str]) -> list[str]:
         if found.count(name) != 1:
             or_projected = " (or x_m and y_m)" if name in _GEOGRAPHIC else ""
             trouble = "stands twice" if name in found else "is missing"
-            raise GenericError(f"{path}: column {name}{or_projected} {trouble}; it has {', '.join(found[:30])}")
+            held = printable(", ".join(found[:30]))
+            raise GenericError(f"{path}: column {name}{or_projected} {trouble}; it has {held}")
     return [*_NEEDED, *position, *(name for name in _OPTIONAL if name in found)]
 
 
-def _numbers(table: pa.Table, names: list[str]) -> Columns:
-    return {name: table[name].cast(pa.float64(), safe=False).to_numpy() for name in names}  # empty cells are NaN
+def _numbers(table: pa.Table | pa.RecordBatch, names: list[str]) -> Columns:
+    cast = {name: table[name].cast(pa.float64(), safe=False) for name in names}
+    return {name: column.to_numpy(zero_copy_only=False) for name, column in cast.items()}  # empty cells are NaN
 
 
-def _crs(path: Path, table: pa.Table, stored: bytes | None, names: list[str]) -> str:
+def _crs(path: Path, table: pa.Table | pa.RecordBatch, stored: bytes | None, names: list[str]) -> str:
     if "longitude_deg" in names:
         return projection.GEOGRAPHIC
     if stored is not None:
         return stored.decode("utf-8", "replace")
-    if "crs" in table.column_names:
+    if "crs" in table.schema.names:
         marked = table["crs"].unique().to_pylist()
         if len(marked) != 1 or not marked[0]:
             raise GenericError(f"{path}: column crs must name one coordinate system, it has {marked[:3]}")
         return str(marked[0])
-    beside = path.with_suffix(".crs")
-    return beside.read_text(errors="replace").strip() if beside.is_file() else projection.LOCAL
+    return projection.beside(path)
 
 
 def _timed(columns: Columns, skipped: dict[str, int]) -> Columns:
@@ -132,15 +188,6 @@ def _timed(columns: Columns, skipped: dict[str, int]) -> Columns:
         return columns
     skipped["soundings without a time"] = int(np.sum(~known))
     return {name: column[known] for name, column in columns.items()}
-
-
-def _in_time_order(path: Path, columns: Columns) -> tuple[Columns, list[str]]:
-    early = np.diff(columns["time_s"]) < 0
-    if not early.any():
-        return columns, []
-    order = np.argsort(columns["time_s"], kind="stable")
-    told = f"{path.name}: its rows went back in time {int(early.sum())} times, and were sorted"
-    return {name: column[order] for name, column in columns.items()}, [told]
 
 
 def _check_units(path: Path, columns: Columns) -> None:
@@ -199,7 +246,3 @@ def _soundings(columns: Columns, begin: np.ndarray, ping: np.ndarray) -> pd.Data
     small = np.where(np.abs(quality) <= 127, quality, REJECTED)  # also where it is empty
     table["quality"] = np.where((small != 0) & (np.trunc(small) == 0), REJECTED, small).astype(np.int8)
     return pd.DataFrame(table)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200]

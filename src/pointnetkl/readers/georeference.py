@@ -1,138 +1,92 @@
 """From what raw files hold, navigation and soundings relative to the vehicle, to a survey in one map frame."""
 
+import functools
+import itertools
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 
 from pointnetkl import pose
-from pointnetkl.readers import projection
-from pointnetkl.survey import PINGS, SOUNDINGS, Survey, SurveyError
+from pointnetkl.readers import arrangement, cleaning, projection, spool
+from pointnetkl.readers.arrangement import DEEPEST_M
+from pointnetkl.readers.recording import IMPOSSIBLE, OUTLIER, PART, Problems
+from pointnetkl.readers.spool import Spool
+from pointnetkl.readers.tally import FLAGS, Tally
+from pointnetkl.survey import PINGS, POINTS, SOUNDINGS, SUBMAPS, SWATHS, Survey, SurveyError
 
-REJECTED, IMPOSSIBLE = 1, 2  # quality of a sounding: refused by the sonar or its operator; by a check of ours
+Take = Callable[[pd.DataFrame], None]
+Columns = dict[str, np.ndarray]
 
-_FASTEST_M_S, _JITTER_M = 100.0, 200.0  # a position off the track by more than this is a damaged one
-_DEEPEST_M, _HIGHEST_M, _FARTHEST_M = 12_000.0, 100.0, 30_000.0  # no seabed lies beyond
+_SHALLOWEST_M, _HIGHEST_M = 100.0, 9_000.0  # no seabed that a ship sounds lies above, and no ground at all
+_FARTHEST_M = 30_000.0  # from the sonar
 _WIDEST_M = 1e6  # extent of a survey, which no map projection serves beyond
-_TOLD = 20  # of the sentences on damage, the others are only counted
 
 
 class GeoreferenceError(SurveyError):
     """Raw files do not make a survey: nothing usable, or no common coordinates."""
 
 
-@dataclass(frozen=True)
-class Recording:
-    """What one raw file holds, before it has a place on the map.
+def survey(spools: Sequence[Spool], zone: str, take: Take, outliers: cleaning.Settings = cleaning.NONE) -> Survey:
+    """Put files together in the order of time, and give `take` their soundings, a part (survey.SOUNDINGS) at a time.
 
-    `pings` has columns time_s; east, north (longitude and latitude in degrees where crs is
-    projection.GEOGRAPHIC, else metres); depth_m (of the vehicle, positive down); roll_rad, pitch_rad (NaN:
-    not recorded); heading_rad (clockwise from true north, or from grid north where the crs is projected).
-    `soundings` has columns ping (row of `pings`), beam, along_m (forward), across_m (to starboard), down_m
-    (below the vehicle), quality; levelled, not turned by the heading.
-    """
-
-    file: str
-    crs: str
-    pings: pd.DataFrame
-    soundings: pd.DataFrame
-    skipped: dict[str, int] = field(default_factory=dict)  # counts by reason
-    problems: list[str] = field(default_factory=list)  # sentences that name file, byte and cause
-
-
-def survey(recordings: Sequence[Recording], zone: str) -> Survey:
-    """Put recordings together in the order of time; `zone` is the CRS for longitudes and latitudes, or "auto".
+    `zone` is the CRS for longitudes and latitudes, or "auto". The parts are in order of ping and beam; `outliers` says
+    which soundings of swaths are flagged as gross errors.
 
     Raises:
-        GeoreferenceError: no usable ping is left, or the files have different coordinate systems.
-        projection.ProjectionError: the zone is not a projected CRS in metres.
+        GeoreferenceError: nothing usable is left, or the zone does not reach all positions or is no map in metres.
+        ArrangementError: the files are of different kinds or have different coordinate systems.
     """
-    recordings = sorted(recordings, key=_begin)
-    skipped: Counter[str] = Counter()
-    for recording in recordings:
-        skipped.update(recording.skipped)
-    crs = _common_crs(recordings)
-    read = _all_pings(recordings)
-    pings = _usable(read, crs, skipped)
+    spools = arrangement.in_time_order(spools)
+    kind, crs = arrangement.common(spools)
+    skipped = sum((s.skipped for s in spools), Counter[str]())
+    tally = Tally(skipped, _SHALLOWEST_M if kind == SWATHS else _HIGHEST_M)
+    if kind == POINTS:
+        return _surface(spools, crs, zone, take, tally)
+    pings = arrangement.usable(spools, crs, kind, tally.skipped)
     if pings.empty:
-        raise GeoreferenceError(_nothing(recordings, skipped))
-    frame = projection.frame(crs, zone, pings["east"].to_numpy(), pings["north"].to_numpy())
-    origin = (float(np.round(frame.x[0])), float(np.round(frame.y[0])))
+        raise GeoreferenceError(_nothing(spools, tally.skipped))
+    frame = _framed(sorted(set(pings["file"])), crs, zone, pings["east"].to_numpy(), pings["north"].to_numpy())
+    origin = _origin(frame)
     if (extent := float(np.max(np.hypot(frame.x - origin[0], frame.y - origin[1])))) > _WIDEST_M:
         raise GeoreferenceError(
             f"{', '.join(sorted(set(pings['file']))[:5])}: pings lie {extent / 1000:.0f} km apart; read what is far"
             " away as surveys of their own"
         )
-    soundings = _soundings(recordings, pings, frame, origin, skipped)
-    report = _report(recordings, len(read), soundings, skipped)
-    return Survey(_ping_table(pings, frame, origin), soundings, frame.crs, origin, report)
+    placed = functools.partial(_placed, spools, pings, frame, origin, tally.highest_m)
+    for some in _batches(pings["count"].to_numpy()):
+        part = placed(some, tally.skipped)
+        if kind != SUBMAPS and outliers.sigmas > 0:
+            before, after = (placed(beside, Counter()) for beside in _beside(some, len(pings)))
+            _clean(part, before, after, outliers)
+        tally.add(part["z_m"], part["quality"])
+        take(pd.DataFrame({name: part[name] for name in SOUNDINGS.names}))
+    return Survey(_ping_table(pings, frame, origin), frame.crs, origin, kind, _report(spools, tally))
 
 
-def _begin(recording: Recording) -> tuple[float, str]:
-    first = recording.pings["time_s"].min()
-    return (float(first) if np.isfinite(first) else np.inf, recording.file)
+def _framed(files: Sequence[str], crs: str, zone: str, east: np.ndarray, north: np.ndarray) -> projection.Frame:
+    try:
+        return projection.frame(crs, zone, east, north)
+    except projection.ProjectionError as error:
+        raise GeoreferenceError(f"{', '.join(files[:5])}: {error}") from error
 
 
-def _common_crs(recordings: Sequence[Recording]) -> str:
-    filled = [r for r in recordings if len(r.pings)]
-    for recording in filled:
-        if recording.crs != filled[0].crs:
-            raise GeoreferenceError(
-                f"{recording.file}: its coordinates are in {recording.crs}, those of {filled[0].file} in"
-                f" {filled[0].crs}; bring the files of a survey to one coordinate system"
-            )
-    return filled[0].crs if filled else projection.GEOGRAPHIC
+def _origin(frame: projection.Frame) -> tuple[float, float]:
+    return float(np.round(frame.x[0])), float(np.round(frame.y[0]))
 
 
-def _all_pings(recordings: Sequence[Recording]) -> pd.DataFrame:
-    tables = [r.pings.assign(file=r.file, source=number) for number, r in enumerate(recordings)]
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+def _batches(count: np.ndarray) -> Iterator[slice]:
+    """Yield stretches of pings that have some PART soundings each."""
+    group = (np.cumsum(count) - count) // PART
+    edges = [0, *(1 + np.flatnonzero(np.diff(group))).tolist(), len(count)]
+    return (slice(*edge) for edge in itertools.pairwise(edges))
 
 
-def _usable(pings: pd.DataFrame, crs: str, skipped: Counter[str]) -> pd.DataFrame:
-    """Return the pings to keep, in order of time; their index says where they stood among all that were read."""
-    if pings.empty:
-        return pings
-    pings = _without(pings, ~np.isfinite(pings["time_s"]), "pings without a time", skipped)
-    east, north = pings["east"].to_numpy(), pings["north"].to_numpy()
-    lost = ~np.isfinite(east + north)
-    if crs == projection.GEOGRAPHIC:
-        with np.errstate(invalid="ignore"):
-            lost |= (np.abs(east) > 180) | (np.abs(north) > 90)
-    pings = _without(pings, lost, "pings without a position on the earth", skipped)
-    unknown = ~np.isfinite(pings["heading_rad"]) | ~(pings["depth_m"].abs() < _DEEPEST_M)
-    pings = _without(pings, unknown, "pings without a heading or depth", skipped)
-    pings = pings.iloc[np.argsort(pings["time_s"].to_numpy(), kind="stable")]
-    pings = _without(pings, _repeats(pings), "pings at a time that another file has too", skipped)
-    return _without(pings, _jumps(pings, crs), "pings far off the track", skipped)
-
-
-def _without(pings: pd.DataFrame, unusable: np.ndarray, reason: str, skipped: Counter[str]) -> pd.DataFrame:
-    if count := int(np.sum(unusable)):
-        skipped[reason] += count
-    return pings[~np.asarray(unusable)]
-
-
-def _repeats(pings: pd.DataFrame) -> np.ndarray:
-    # within a file, two pings of one time are the two heads of a sonar
-    time, source = pings["time_s"].to_numpy(), pings["source"].to_numpy()
-    begins = np.diff(time, prepend=-np.inf) > 0
-    first = np.maximum.accumulate(np.where(begins, np.arange(len(time)), 0))
-    return source != source[first]
-
-
-def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
-    """Return which pings lie farther from the median of five neighbours than any vehicle moves."""
-    if len(pings) < 5:
-        return np.zeros(len(pings), bool)
-    time, east, north = (pings[name].to_numpy() for name in ("time_s", "east", "north"))
-    if crs == projection.GEOGRAPHIC:
-        east, north = projection.roughly(east, north)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad([time, east, north], ((0, 0), (2, 2)), "reflect"), 5, 1)
-    off = np.hypot(east - np.median(windows[1], 1), north - np.median(windows[2], 1))
-    return np.asarray(off > _JITTER_M + _FASTEST_M_S * np.ptp(windows[0], 1))
+def _beside(some: slice, count: int) -> tuple[slice, slice]:
+    """Return the pings before and after some, of `count` in all, that have a say in which soundings are errors."""
+    before, after = max(0, some.start - cleaning.PINGS), min(count, some.stop + cleaning.PINGS)
+    return slice(before, some.start), slice(some.stop, after)
 
 
 def _ping_table(pings: pd.DataFrame, frame: projection.Frame, origin: tuple[float, float]) -> pd.DataFrame:
@@ -140,18 +94,21 @@ def _ping_table(pings: pd.DataFrame, frame: projection.Frame, origin: tuple[floa
     east, north = frame.turned(slice(None), np.sin(heading), np.cos(heading))
     table = pings.assign(ping=np.arange(len(pings), dtype=np.int32), x_m=frame.x - origin[0], y_m=frame.y - origin[1])
     table = table.assign(z_m=-table["depth_m"], yaw_rad=pose.heading_to_yaw(np.arctan2(east, north)))
-    return table[PINGS.names].reset_index(drop=True)
+    return table[PINGS.names]
 
 
-def _soundings(
-    recordings: Sequence[Recording],
+def _placed(
+    spools: Sequence[Spool],
     pings: pd.DataFrame,
     frame: projection.Frame,
     origin: tuple[float, float],
+    highest_m: float,
+    some: slice,
     skipped: Counter[str],
-) -> pd.DataFrame:
-    read = _all_soundings(recordings, pings.index.to_numpy(), skipped)
-    ping, along, across, down = (read[name] for name in ("ping", "along_m", "across_m", "down_m"))
+) -> Columns:
+    """Return the columns of the soundings of some pings on the map, in order of ping and beam; none stands twice."""
+    read = _read(spools, pings, some, skipped)
+    ping, along, across, down = (read[name] for name in ("ping", "a", "b", "c"))
     heading, depth = pings["heading_rad"].to_numpy()[ping], pings["depth_m"].to_numpy()[ping]
     sin, cos = np.sin(heading), np.cos(heading)
     east, north = frame.turned(ping, along * sin + across * cos, along * cos - across * sin)
@@ -159,38 +116,48 @@ def _soundings(
     read["y_m"] = frame.y[ping] - origin[1] + north
     read["z_m"] = -(depth + down)
     beyond = np.hypot(along, across) > _FARTHEST_M
-    beyond |= (read["z_m"] < -_DEEPEST_M) | (read["z_m"] > _HIGHEST_M)
-    read["quality"][beyond & (read["quality"] == 0)] = IMPOSSIBLE
-    return pd.DataFrame({name: read[name] for name in SOUNDINGS.names})
+    _flag(read, beyond, highest_m)
+    return read
 
 
-def _all_soundings(recordings: Sequence[Recording], kept: np.ndarray, skipped: Counter[str]) -> dict[str, np.ndarray]:
-    """Return the columns of the kept pings' soundings, in order of ping and beam; none stands twice."""
-    number = np.full(sum(len(r.pings) for r in recordings), -1, np.int32)
-    number[kept] = np.arange(len(kept))
-    first = np.cumsum([0, *(len(r.pings) for r in recordings)])
-    names = ("beam", "along_m", "across_m", "down_m", "quality")
-    table = {name: np.concatenate([r.soundings[name].to_numpy() for r in recordings]) for name in names}
-    rows = [number[r.soundings["ping"].to_numpy() + at] for r, at in zip(recordings, first, strict=False)]
-    table["ping"] = np.concatenate(rows)
-    table["beam"], table["quality"] = table["beam"].astype(np.int32), table["quality"].astype(np.int8)
-    numbers = np.isfinite(table["along_m"] + table["across_m"] + table["down_m"])
-    table = _select(table, numbers, "soundings without a place", skipped)
-    table = _select(table, table["ping"] >= 0, "soundings of skipped pings", skipped)
-    table = _ordered(table)
+def _flag(table: Columns, beyond: np.ndarray, highest_m: float) -> None:
+    beyond = beyond | (table["z_m"] < -DEEPEST_M) | (table["z_m"] > highest_m)
+    table["quality"][beyond & (table["quality"] == 0)] = IMPOSSIBLE
+
+
+def _clean(table: Columns, before: Columns, after: Columns, how: cleaning.Settings) -> None:
+    """Flag gross errors; the pings before and after only bear witness, so that no verdict depends on the batch."""
+    tables = (before, table, after)
+    good = [np.flatnonzero(each["quality"] == 0) for each in tables]
+    ping, across, down = (
+        np.concatenate([each[name][rows] for each, rows in zip(tables, good, strict=True)])
+        for name in ("ping", "b", "c")
+    )
+    wrong = cleaning.outlying(ping, across, down, how)[len(good[0]) :][: len(good[1])]
+    table["quality"][good[1][wrong]] = OUTLIER
+
+
+def _read(spools: Sequence[Spool], pings: pd.DataFrame, some: slice, skipped: Counter[str]) -> Columns:
+    source, first, count = (pings[name].to_numpy()[some] for name in ("source", "first", "count"))
+    records = spool.gather(spools, source, first, count)
+    table = {name: records[name].copy() for name in records.dtype.names or ()}
+    table["ping"] = np.repeat(np.arange(some.start, some.stop, dtype=np.int32), count)
+    table = _ordered(_finite(table, skipped))
     return _select(table, ~_twice(table), "soundings that stand twice", skipped)
 
 
-def _select(
-    table: dict[str, np.ndarray], good: np.ndarray, reason: str, skipped: Counter[str]
-) -> dict[str, np.ndarray]:
+def _finite(table: Columns, skipped: Counter[str]) -> Columns:
+    return _select(table, np.isfinite(table["a"] + table["b"] + table["c"]), "soundings without a place", skipped)
+
+
+def _select(table: Columns, good: np.ndarray, reason: str, skipped: Counter[str]) -> Columns:
     if good.all():
         return table
     skipped[reason] += int(np.sum(~good))
     return {name: column[good] for name, column in table.items()}
 
 
-def _ordered(table: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _ordered(table: Columns) -> Columns:
     ping, beam = np.diff(table["ping"]), np.diff(table["beam"])
     if np.all((ping > 0) | ((ping == 0) & (beam >= 0))):
         return table
@@ -198,30 +165,63 @@ def _ordered(table: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: column[order] for name, column in table.items()}
 
 
-def _twice(table: dict[str, np.ndarray]) -> np.ndarray:
+def _twice(table: Columns) -> np.ndarray:
     same = np.ones(len(table["ping"]), bool)
     same[:1] = False
-    for name in ("ping", "beam", "along_m", "across_m", "down_m"):
+    for name in ("ping", "beam", "a", "b", "c"):
         same[1:] &= np.diff(table[name]) == 0
     return same
 
 
-def _report(
-    recordings: Sequence[Recording], pings: int, soundings: pd.DataFrame, skipped: Counter[str]
-) -> dict[str, object]:
-    problems = [problem for recording in recordings for problem in recording.problems]
-    return {
-        "files": len(recordings),
-        "pings": pings + skipped["unreadable pings"],
-        "soundings": sum(len(r.soundings) for r in recordings),
-        "valid": int((soundings["quality"] == 0).sum()),
-        "skipped": dict(sorted(skipped.items())),
-        "problems": problems[:_TOLD] + [f"and {len(problems) - _TOLD} more"] * (len(problems) > _TOLD),
+def _surface(spools: Sequence[Spool], crs: str, zone: str, take: Take, tally: Tally) -> Survey:
+    """Put points without pings on the map: they belong to no ping, and keep the order that they have."""
+    origin, done = (0.0, 0.0), 0
+    for number, one in enumerate(spools):
+        for begin in range(0, one.soundings, PART):
+            count = min(PART, one.soundings - begin)
+            records = spool.gather(spools, np.array([number]), np.array([begin]), np.array([count]))
+            table = _finite({name: records[name].copy() for name in records.dtype.names or ()}, tally.skipped)
+            if not len(table["a"]):
+                continue
+            frame = _framed([one.file], crs, zone, table["a"], table["b"])
+            if not done:
+                origin, zone = _origin(frame), frame.crs if crs == projection.GEOGRAPHIC else zone
+            table |= {"x_m": frame.x - origin[0], "y_m": frame.y - origin[1], "z_m": table["c"]}
+            table |= {"ping": np.full(len(frame.x), -1, np.int32)}
+            _flag(table, np.hypot(table["x_m"], table["y_m"]) > _WIDEST_M, tally.highest_m)
+            tally.add(table["z_m"], table["quality"])
+            done += len(frame.x)
+            take(pd.DataFrame({name: table[name] for name in SOUNDINGS.names}))
+    if not done:
+        raise GeoreferenceError(_nothing(spools, tally.skipped))
+    crs = zone if crs == projection.GEOGRAPHIC else crs
+    return Survey(PINGS.empty_table().to_pandas(), crs, origin, POINTS, _report(spools, tally))
+
+
+def _report(spools: Sequence[Spool], tally: Tally) -> dict[str, object]:
+    problems = Problems()
+    for one in spools:
+        problems.add(one.problems, one.untold)
+    report: dict[str, object] = {
+        "files": len(spools),
+        "formats": sorted({one.format for one in spools}),
+        "sensors": sorted({one.sensor for one in spools} - {""}),
+        "vertical": sorted({one.vertical for one in spools} - {""}),
+        "pings": sum(len(one.pings) for one in spools) + tally.skipped["unreadable pings"],
+        "soundings": sum(one.soundings for one in spools),
+        "valid": tally.valid,
+        "reordered": arrangement.reordered(spools),
+        "flagged": {why: tally.flagged[why] for why in FLAGS},
+        "skipped": {reason: count for reason, count in sorted(tally.skipped.items()) if count},
+        "problems": problems.sentences,
     }
+    if tally.valid:
+        report["depth_m"] = [tally.shallowest_m, tally.quantile(0.01), tally.quantile(0.99), tally.deepest_m]
+    return report
 
 
-def _nothing(recordings: Sequence[Recording], skipped: Counter[str]) -> str:
-    files = recordings[0].file if len(recordings) == 1 else f"{len(recordings)} files"
-    told = [f"{count} {reason}" for reason, count in sorted(skipped.items())]
-    told += [problem for recording in recordings for problem in recording.problems][:2]
+def _nothing(spools: Sequence[Spool], skipped: Counter[str]) -> str:
+    files = spools[0].file if len(spools) == 1 else f"{len(spools)} files"
+    told = [f"{count} {reason}" for reason, count in sorted(skipped.items()) if count]
+    told += [problem for one in spools for problem in one.problems][:2]
     return f"{files}: holds no usable ping ({'; '.join(told) or 'no ping at all'}); give another file"

@@ -1,6 +1,7 @@
 """Longitude and latitude to a map in metres, with the turn and scale that the map has at each place."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -53,13 +54,32 @@ def frame(crs: str, zone: str, east: np.ndarray, north: np.ndarray) -> Frame:
     x, y = to_map.transform(east, north)
     x_east, y_east = to_map.transform(east + _STEP_M * per_east, north)
     x_north, y_north = to_map.transform(east, north + _STEP_M * per_north)
-    tangent = np.stack([x_east - x, x_north - x, y_east - y, y_north - y], 1).reshape(-1, 2, 2) / _STEP_M
+    with np.errstate(invalid="ignore"):  # places that the zone does not reach are infinite
+        tangent = np.stack([x_east - x, x_north - x, y_east - y, y_north - y], 1).reshape(-1, 2, 2) / _STEP_M
     if lost := int(np.sum(~np.isfinite(tangent.sum((1, 2)) + x + y))):
         raise ProjectionError(
             f"{lost} of {len(x)} positions lie outside {target}, the first position is at longitude {east[0]:.3f},"
             f" latitude {north[0]:.3f}; set ingest.utm_zone"
         )
     return Frame(target, x, y, tangent)
+
+
+def beside(path: Path) -> str:
+    """Return the CRS that a file `.crs` beside a raw file names; LOCAL without one.
+
+    Raises:
+        ProjectionError: the file names no CRS, or cannot be read.
+    """
+    named = path.with_suffix(".crs")
+    if not named.is_file():
+        return LOCAL
+    try:
+        crs = named.read_text(errors="replace").strip()
+    except OSError as error:
+        raise ProjectionError(f"{named}: cannot be read ({error.strerror})") from error
+    if not crs or "\0" in crs:
+        raise ProjectionError(f"{named}: must name a coordinate system, such as EPSG:32633")
+    return crs
 
 
 def utm(longitude: float, latitude: float) -> str:

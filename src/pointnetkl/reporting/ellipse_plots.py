@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
-from pointnetkl import paper
+from pointnetkl import paper, text_table
 from pointnetkl.reporting import families, plots
 from pointnetkl.reporting.relief import Relief
 
@@ -127,7 +127,8 @@ def _map(page: Axes, seabed: Relief, box: _Box) -> None:
     left = box.left + (box.width - width) / 2
     place = (left, left + width, box.top + height, box.top)
     page.imshow(seabed.rgba, extent=place, interpolation="bilinear", aspect="auto")
-    _scale(page, box.left, box.top + height + 0.1, metre, 0.6, f", relief {np.ptp(seabed.depths_m):.2g} m")
+    depths = text_table.cell(float(np.ptp(seabed.depths_m)), 2)
+    _scale(page, box.left, box.top + height + 0.1, metre, 0.6, f", relief {depths} m")
 
 
 def _scale(page: Axes, left: float, top: float, metre: float, longest: float, more: str = "") -> None:

@@ -20,6 +20,7 @@ from pointnetkl.reporting import (
     pareto_plots,
     reliability_plots,
     results,
+    sheet,
     summary,
 )
 from pointnetkl.reporting.results import Folders
@@ -39,8 +40,10 @@ _CANONICAL_POINTS = 25_000  # drawn of each survey's: more only blacken the figu
 
 
 def swath(folders: Folders, name: str) -> Figure:
-    """Draw the first straight piece of a survey's swath, as long and wide as the paper's."""
+    """Draw the first straight piece of a survey's swath, as long and wide as the paper's; points have none."""
     pings = results.read_pings(folders, name)
+    if pings.empty:
+        return sheet.nothing(f"{name} has no pings")
     first, last = straight_stretch(pings[["x_m", "y_m"]].to_numpy(), _SWATH_M[0])
     start, end = pings.iloc[first], pings.iloc[last]
     soundings = results.read_soundings(folders, name, int(start["ping"]), int(end["ping"]))
@@ -113,6 +116,8 @@ def worst(surveys: Sequence[cases.Survey]) -> Iterator[tuple[str, Figure]]:
 def consistency(folders: Folders, names: Iterable[str]) -> Figure:
     """Draw where each test survey's map disagrees with itself, at a few trajectories."""
     paths = {name: folders.reports / f"slam/{name}_consistency.tif" for name in names}
+    if not paths:
+        return sheet.no_track()
     return consistency_plots.consistency({n: consistency_map.read(path, _CONSISTENT) for n, path in paths.items()})
 
 

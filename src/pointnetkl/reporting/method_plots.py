@@ -1,5 +1,6 @@
 """Charts with a line for each method and a panel for each survey, the best method on top: KL, calibration, SLAM."""
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,7 @@ _MEASURES = {
     "truth_rmse_se2_m": "aligned (SE(2))",
     "truth_relative_m": "pairs that closures join",
 }
+_LETTERS = 112  # that fit side by side across the panels of a figure
 _GOAL = 0.95  # of the ellipse that coverage is drawn of
 
 
@@ -70,6 +72,8 @@ def calibration(nees: pd.DataFrame) -> Figure:
         _gold_line(panel)
         _points(panel, "coverage_95", 100)
         panel.axes.set_xlabel("inside the 95 % ellipse (%)", fontsize=9)
+    for axes in grid.ravel():
+        axes.set_xlabel(textwrap.fill(axes.get_xlabel(), _LETTERS // grid.shape[1]))
     families.legend(figure, order)
     return figure
 
@@ -81,6 +85,8 @@ def slam_error(slam: pd.DataFrame) -> Figure:
     covariance made (navigation, corrupted, GT) would stretch the axis: its error stands in the panel's title.
     """
     judged = slam[~slam["method"].isin(_REFERENCES)]
+    if judged.empty:
+        return sheet.no_track()
     order = _order(judged, judged["rmse_xyz_m"].astype(float))
     figure, grid = _grid(judged, order, 1)
     for panel in _panels(judged, order, grid[0]):
@@ -90,7 +96,8 @@ def slam_error(slam: pd.DataFrame) -> Figure:
         truth = panel.rows["truth_rmse_xyz_m"].astype(float)
         panel.axes.scatter(truth, panel.heights + 0.2, facecolors="none", edgecolors=colours, s=16)
         references = slam[(slam["survey"] == panel.survey) & slam["method"].isin(_REFERENCES)]
-        panel.axes.set_title("\n".join([paper.title(panel.survey), *_reference_lines(references)]), fontsize=8)
+        lines = [textwrap.fill(line, _LETTERS // grid.size) for line in _reference_lines(references)]
+        panel.axes.set_title("\n".join([paper.title(panel.survey), *lines]), fontsize=8)
     figure.supxlabel(
         "RMSE of submap positions, no alignment (m); filled: against GT, hollow: against truth", fontsize=9
     )

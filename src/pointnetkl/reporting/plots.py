@@ -81,6 +81,7 @@ def eigenvalues(labels: Mapping[str, np.ndarray], prior_m2: float, floor_m2: flo
     """
     figure = Figure((WIDTH_IN, 1.1 + 0.75 * len(labels)), layout="constrained")
     axes = figure.subplots()
+    axes.use_sticky_edges = False  # of boxes: on a logarithmic axis they would cut whiskers off
     for row, (survey, values) in enumerate(labels.items()):
         for side, (name, colour) in enumerate((("smaller", BLUE), ("larger", ORANGE))):
             height = row + 0.2 * (2 * side - 1)

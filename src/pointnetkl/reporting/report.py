@@ -13,6 +13,7 @@ from pointnetkl.reporting import (
     calibration_plots,
     cases,
     class_tables,
+    cleaning_tables,
     closure_tables,
     closures,
     figures,
@@ -39,7 +40,7 @@ from pointnetkl.text_table import Block
 
 _IN_WORDS = (
     *("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise"),
-    *("table_4_authors", "slam_variants"),
+    *("cleaning", "table_4_authors", "slam_variants"),
     *("terrain", "map_thinning", "calibration_lc", "robustness", "loop_gate"),
 )
 
@@ -65,6 +66,7 @@ class _Found:
     variations: pd.DataFrame  # schema results.VARIATIONS
     map_thinning: pd.DataFrame  # schema map_tables.THINNING
     wrong: robustness.Found
+    cleaned: Mapping[str, Mapping[str, Any]]  # cleaning_tables.read
 
 
 def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
@@ -106,6 +108,7 @@ def _read(folders: Folders, study: Study, settings: Settings) -> _Found:
         variations=results.read_variations(folders, study),
         map_thinning=map_tables.read(folders.reports / "slam", study.test),
         wrong=robustness.read(folders, study.test),
+        cleaned=cleaning_tables.read(folders.data, study.surveys),
     )
 
 
@@ -171,6 +174,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
     methods = dict.fromkeys(method for test in found.tests.values() for method in test.covariances)
     return {
         "table_1": tables.table_1(datasets),
+        "cleaning": cleaning_tables.cleaning(found.cleaned, datasets),
         "table_2": [*tables.table_2(numbers["kl"], datasets, found.training), kl],
         "table_3": tables.table_3(found.runtime, methods),
         "table_4": [*tables.table_4(numbers["slam"], datasets), slam, slam_tables.draws(numbers["slam"], datasets)],
@@ -227,7 +231,7 @@ def _figures(
         yield name, plots.png(figure)
     for name, figure in robustness_plots.figures(found.wrong):
         yield name, plots.png(figure)
-    yield "consistency", plots.png(figures.consistency(folders, study.test))
+    yield "consistency", plots.png(figures.consistency(folders, [n for n, test in found.tests.items() if test.track]))
     for name, figure in slam_figures.figures(surveys, spacing):
         yield name, plots.png(figure)
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):

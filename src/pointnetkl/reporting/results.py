@@ -124,6 +124,7 @@ class Test:
     loop_closures: np.ndarray  # (e, 2) nodes k and i of each edge
     registered: np.ndarray  # (r,) submaps whose registrations the edges come from
     registration_errors: np.ndarray  # (r, M) against the truth in the submap's frame, metres; NaN where not known
+    track: bool = True  # tiles of points have none: no edges, and no row or trajectory of SLAM
 
 
 def read_labels(folders: Folders, name: str) -> Labels:
@@ -161,6 +162,7 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
         loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1)[graph["edge_draw"] == 0],
         registered=graph["number"][graph["registration_node"][first]],
         registration_errors=graph["registration_error_truth_m"][first],
+        track=bool(graph.get("track", True)),
     )
 
 

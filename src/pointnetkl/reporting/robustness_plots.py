@@ -7,10 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pointnetkl import paper
-from pointnetkl.reporting import plots, robustness
+from pointnetkl.reporting import plots, robustness, sheet
 
 _COLOURS = (plots.GREEN, plots.RED, plots.ORANGE, plots.GREY, plots.BLUE, plots.PURPLE, plots.SKY)
 _MARKERS = "*oDs^vX"
+_NO_CLOSURES = "no test survey has loop closures"
 
 
 def figures(found: robustness.Found) -> Iterator[tuple[str, Figure]]:
@@ -23,9 +24,15 @@ def figures(found: robustness.Found) -> Iterator[tuple[str, Figure]]:
 def error(cells: pd.DataFrame) -> Figure:
     """Draw the error against the share of false closures: a row of panels a survey, a column a kernel, a line a method.
 
-    `cells` are robustness.summarised; the error is against the truth, against GT where that is not known.
+    `cells` are robustness.summarised; the error is against the truth, against GT where that is not known. Surveys
+    without loop closures are not shown.
     """
+    if cells.empty:
+        return sheet.no_track()
+    cells = _with_closures(cells)
     surveys, kernels = list(cells["survey"].unique()), list(cells["kernel"].unique())
+    if not surveys:
+        return sheet.nothing(_NO_CLOSURES)
     figure = Figure((plots.WIDTH_IN, 0.8 + 2.1 * len(surveys)), layout="constrained")
     grid = figure.subplots(len(surveys), len(kernels), squeeze=False, sharex=True, sharey="row")
     for line, survey in zip(grid, surveys, strict=True):
@@ -46,9 +53,14 @@ def error(cells: pd.DataFrame) -> Figure:
 def gate(cells: pd.DataFrame) -> Figure:
     """Draw precision and recall of each estimator as a gate: a column of panels a survey, a line a kernel.
 
-    Mean over the methods; the band spans them.
+    Mean over the methods; the band spans them. Surveys without loop closures are not shown.
     """
+    if cells.empty:
+        return sheet.no_track()
+    cells = _with_closures(cells)
     surveys = list(cells["survey"].unique())
+    if not surveys:
+        return sheet.nothing(_NO_CLOSURES)
     figure = Figure((plots.WIDTH_IN, 4.6), layout="constrained")
     grid = figure.subplots(2, len(surveys), squeeze=False, sharex=True, sharey=True)
     for column, survey in zip(grid.T, surveys, strict=True):
@@ -63,6 +75,12 @@ def gate(cells: pd.DataFrame) -> Figure:
     figure.supxlabel("loop closures that are false (% of all)", fontsize=9)
     _legend(figure, grid[0, 0])
     return figure
+
+
+def _with_closures(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of surveys with loop closures: a gate has nothing to judge where there are none."""
+    judged = cells.loc[cells[["precision", "recall"]].notna().any(axis=1), "survey"]
+    return cells[cells["survey"].isin(judged)]
 
 
 def _lines(axes: Axes, rows: pd.DataFrame, by: str, columns: list[str]) -> None:

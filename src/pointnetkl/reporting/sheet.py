@@ -24,6 +24,11 @@ def sheet(height: float) -> Figure:
     return Figure((plots.WIDTH_IN, height))
 
 
+def no_track() -> Figure:
+    """Return a figure that says that SLAM has nothing to show: every test survey is of points."""
+    return nothing("no test survey has a track")
+
+
 def nothing(words: str) -> Figure:
     """Return a figure that says why there is nothing to draw."""
     figure = sheet(0.6)

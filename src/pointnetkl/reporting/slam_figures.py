@@ -11,6 +11,7 @@ from pointnetkl.reporting import (
     closure_plots,
     maps,
     method_plots,
+    sheet,
     slam_differences,
     slam_maps,
     track_plots,
@@ -24,11 +25,19 @@ from pointnetkl.slam import pose_table
 
 _SOLVED = ("network", "pointnetkl", "monte_carlo")  # whose map is shown: the first that is there
 _ELLIPSES = ("network", "monte_carlo")
+_FIGURES = ("trajectories", "bathymetry", "closures", "error_along_track", "slam_differences", "slam_both_ways")
 _MOST_POINTS = 400_000  # of a map: more only take time, its cells hold dozens each
 
 
 def figures(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> Iterator[tuple[str, Figure]]:
-    """Yield the figures of the test surveys' solved graphs, by name; `spacing_m` is that of their points."""
+    """Yield the figures of the test surveys' solved graphs, by name; `spacing_m` is that of their points.
+
+    Surveys without a track have no graph to solve, and are not shown.
+    """
+    surveys = [each for each in surveys if each.test.track]
+    if not surveys:
+        yield from ((name, sheet.no_track()) for name in _FIGURES)
+        return
     tracks = {each.name: _tracks(each.test) for each in surveys}
     seabeds = {each.name: _seabed(each, spacing_m[each.name]) for each in surveys}
     closing = {each.name: _closures(each, seabeds[each.name]) for each in surveys if len(each.test.registered)}

@@ -83,6 +83,7 @@ def _bar(figure: Figure, place: tuple[float, float, float], of: ScalarMappable, 
     bar = sheet.panel(figure, left + 0.15, top + _LINE_IN, 0.12, corners)
     figure.colorbar(of, cax=bar).set_label(label, fontsize=sheet.TEXT_PT)
     bar.tick_params(labelsize=sheet.TEXT_PT - 1)
+    bar.ticklabel_format(axis="y", useOffset=False)  # flat ground far down: "1530.2", not "+1.53e3" above the bar
 
 
 def _symmetric(differences: Sequence[np.ndarray]) -> Normalize:

@@ -64,7 +64,10 @@ def variants(test: Test) -> dict[str, dict[str, Any]]:
 
 
 def _sizes(test: Test) -> dict[str, Any]:
-    return {"dead_reckoning_edges": len(test.gt) - 1, "loop_closures": len(test.loop_closures)}
+    return {
+        "dead_reckoning_edges": len(test.gt) - 1 if test.track else 0,
+        "loop_closures": len(test.loop_closures),
+    }
 
 
 def _errors(rows: pd.DataFrame, name: str, method: str, settings: Settings) -> dict[str, Any]:

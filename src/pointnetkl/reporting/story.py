@@ -3,7 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pointnetkl.reporting import closure_story, label_story, map_story, robustness_story, slam_story, terrain_story
+from pointnetkl.reporting import (
+    cleaning_story,
+    closure_story,
+    label_story,
+    map_story,
+    robustness_story,
+    slam_story,
+    terrain_story,
+)
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import Labels, Test
 from pointnetkl.study import Study
@@ -19,7 +27,7 @@ def lead(
     """Return the page's first paragraphs: what it is, of what size, and what in it is simulated."""
     points = [each["points_mean"] for each in datasets.values()]
     runs = [line.label_runs for line in study.surveys.values()]
-    repetitions = max(int(test.slam["repetition"].max()) + 1 for test in tests.values())
+    repetitions = max(int(test.slam["repetition"].max()) + 1 if test.track else 0 for test in tests.values())
     simulated = [name for name, each in datasets.items() if each["simulated"]]
     copy, noise = (next(iter(labels.values())).parameters["label"][name] for name in ("copy", "noise_sigma_m"))
     return [
@@ -32,6 +40,7 @@ def lead(
         " 619 submaps, 6553 points, 3000 registrations, 100 repetitions. Fewer submaps train a weaker network"
         " and widen every interval.",
         _simulated(simulated, [name for name in datasets if name not in simulated]),
+        *_without_track([name for name, test in tests.items() if not test.track]),
     ]
 
 
@@ -40,6 +49,7 @@ def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, La
     copies = {name: str(of.parameters["label"]["copy"]) for name, of in labels.items()}
     return [
         _surveys(shown),
+        cleaning_story.section(shown),
         _labels(shown),
         label_story.section(shown),
         _training(),
@@ -64,7 +74,8 @@ def comparison(numbers: Mapping[str, Any]) -> list[str]:
         kl = _each(numbers["kl"][survey], rivals, "mean")
         methods = ("corrupted", "monte_carlo", "pointnetkl", "constant", "naive_gicp")
         lines.append(f"{survey}{simulated}: mean KL, nats: {kl}")
-        lines.append(f"{survey}{simulated}: SLAM error against GT, m: {_each(slam, methods, 'rmse_xyz_m')}")
+        against_gt = _each(slam, methods, "rmse_xyz_m")
+        lines.append(f"{survey}{simulated}: SLAM error against GT, m: {against_gt or 'no track, no SLAM'}")
         if slam["gt"]["truth_rmse_xyz_m"] is not None:
             truth = _each(slam, (*methods, "gt"), "truth_rmse_xyz_m")
             lines.append(f"{survey}{simulated}: SLAM error against truth, m: {truth}")
@@ -213,6 +224,10 @@ def _simulated(simulated: Sequence[str], measured: Sequence[str]) -> str:
         " numbers. At demo scale each terrain's seed, and each grid's place, was chosen by slopes and not by any"
         f" label or result, so that a small survey holds flat and rugged ground alike.{others}"
     )
+
+
+def _without_track(names: Sequence[str]) -> list[str]:
+    return [f"No track, and so no SLAM, of points without pings (cut into tiles): {', '.join(names)}."] if names else []
 
 
 def _count(datasets: Mapping[str, Any], names: Mapping[str, Any]) -> int:

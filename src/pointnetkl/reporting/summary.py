@@ -67,7 +67,7 @@ def dataset(
     return {
         "submaps": len(clouds),
         "area_km2": area_km2(clouds, poses, cell_m),
-        "track_km": survey.track_length(pings) / 1e3,
+        "track_km": survey.track_length(pings) / 1e3 if len(pings) else None,
         "sigma_z": voxel.sigma_z(canonical),
         "points_mean": float(counts.mean()),
         "points_std": float(counts.std()),

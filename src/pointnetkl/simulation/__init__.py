@@ -35,7 +35,7 @@ class Settings:
 
     seed: int
     vehicle: str  # of section `vehicles`
-    grid: str  # a GeoTIFF of depths, or data/none for a seabed drawn from the seed
+    grid: str  # a GeoTIFF or BAG of depths, or data/none for a seabed drawn from the seed
     altitude_m: float
     ping_spacing_m: float
     beam_spacing_m: float

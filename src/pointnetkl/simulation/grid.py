@@ -1,4 +1,4 @@
-"""A seabed from a real grid: a GeoTIFF of depths, with stated roughness below its cell."""
+"""A seabed from a real grid: a GeoTIFF or BAG of depths, with stated roughness below its cell."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, signal
 
-from pointnetkl.errors import PointNetKLError
+from pointnetkl import raster
+from pointnetkl.raster import GridError
 from pointnetkl.simulation import noise
 
-
-class GridError(PointNetKLError):
-    """A grid cannot be read, or has no room for the survey."""
+_MOST_CELLS = 1 << 24  # that are read: of more, those about the middle of the survey
 
 
 @dataclass(frozen=True)
@@ -90,24 +89,27 @@ def read(
     sunk_m: float = 0.0,
     centre: tuple[float, float] | None = None,
 ) -> Grid:
-    """Read a GeoTIFF of heights in metres, up, and sink it by `sunk_m`; positive depths are turned over.
+    """Read a GeoTIFF or BAG of heights in metres, up, and sink it by `sunk_m`; depths (`raster.sense`) are turned over.
+
+    Of a grid of more than 16.7 million cells those about the centre are read.
 
     Raises:
-        GridError: the file is not a GeoTIFF, or is not a north-up grid in a projected CRS in metres.
+        GridError: the file is neither, or is not a north-up grid in a projected CRS in metres; or it is too large, and
+            there is no centre.
     """
-    z, crs, transform = _raster(path)
-    if crs is None or not crs.is_projected or crs.linear_units_factor[1] != 1.0:
-        raise GridError(f"{path}: its CRS is {crs}, must be projected, in metres; reproject it, for example to UTM")
-    if transform.b or transform.d:
-        raise GridError(f"{path}: is rotated; resample it to a north-up grid")
-    valid = np.isfinite(z)
+    with raster.opened(path) as dataset:
+        _check(path, dataset)
+        window = _window(path, dataset, centre)
+        z = raster.heights(path, dataset, window)
+        transform = dataset.transform if window is None else dataset.window_transform(window)
+        crs, valid = raster.crs_name(dataset), np.isfinite(z)
+        down, _ = raster.sense(dataset, int(np.sum(z < 0)), int(np.sum(valid)))
     if valid.mean() < 1e-6 or min(z.shape) < 4:
         raise GridError(f"{path}: has no depths")
-    if np.median(z[valid]) > 0:
+    if down:
         z = -z
-    code = crs.to_epsg()
     return Grid(
-        crs=f"EPSG:{code}" if code else str(crs.to_wkt()),
+        crs=crs,
         path=path,
         spline=ndimage.spline_filter(_filled(z - sunk_m, valid), order=3, mode="mirror"),
         valid=valid,
@@ -119,16 +121,44 @@ def read(
     )
 
 
-def _raster(path: Path) -> tuple[np.ndarray, Any, Any]:
-    import rasterio  # slow to import, and most surveys have no grid
+def _check(path: Path, dataset: Any) -> None:
+    crs, transform = raster.level_crs(dataset), dataset.transform
+    if crs is None or not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
+        told = crs.name if crs else None
+        raise GridError(f"{path}: its CRS is {told}, must be projected, in metres; reproject it, for example to UTM")
+    if transform.b or transform.d:
+        raise GridError(f"{path}: is rotated; resample it to a north-up grid")
+    if not (np.isfinite(transform[:6]).all() and 0 < abs(transform.a) < 1e5 and 0 < abs(transform.e) < 1e5):
+        raise GridError(f"{path}: its cells of {transform.a:.6g} by {transform.e:.6g} m are none; its head is damaged")
+    if raster.is_variable(dataset):
+        raise GridError(
+            f"{path}: is a BAG of variable resolution, whose own cells are only an index; resample it to one"
+            " resolution, for example by gdal_translate -oo MODE=RESAMPLED_GRID"
+        )
 
-    try:
-        with rasterio.open(path) as dataset:
-            band = dataset.read(1, masked=True)
-            return band.astype(np.float64).filled(np.nan), dataset.crs, dataset.transform
-    except rasterio.errors.RasterioError as error:
-        reason = " ".join(str(error).split())[:120]
-        raise GridError(f"{path}: is not a GeoTIFF that can be read ({reason})") from error
+
+def _window(path: Path, dataset: Any, centre: tuple[float, float] | None) -> Any:
+    """Return the part of a grid to read; None for all of it."""
+    if dataset.width * dataset.height <= _MOST_CELLS:
+        return None
+    if centre is None:
+        raise GridError(
+            f"{path}: has {dataset.width} x {dataset.height} cells, more than the {_MOST_CELLS} that are read at once;"
+            " set centre_m to read those about it, or cut it"
+        )
+    from rasterio.windows import Window
+
+    edge = int(np.sqrt(_MOST_CELLS))
+    transform = dataset.transform
+    column, row = (centre[0] - transform.c) / transform.a, (centre[1] - transform.f) / transform.e
+    if not (0 <= column < dataset.width and 0 <= row < dataset.height):
+        raise GridError(f"{path}: centre_m {centre[0]:.0f}, {centre[1]:.0f} lies outside it")
+    # a grid may be narrow, and then is read farther along
+    width = min(dataset.width, max(edge, _MOST_CELLS // dataset.height))
+    height = min(dataset.height, _MOST_CELLS // width)
+    left = min(max(0, int(column) - width // 2), dataset.width - width)
+    top = min(max(0, int(row) - height // 2), dataset.height - height)
+    return Window(left, top, width, height)
 
 
 def _filled(z: np.ndarray, valid: np.ndarray) -> np.ndarray:

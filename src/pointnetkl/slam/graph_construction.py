@@ -1,5 +1,6 @@
 """Making a survey's pose graph: GT, the paper's stand-in for the truth, and on it Algorithm 1, some times over."""
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 
@@ -81,6 +82,23 @@ def build(
     draws = compute.in_threads(draw, range(settings.draws), f"loop closures, {survey}", unit="draw")
     noise = (settings.dead_reckoning, settings.loop_closure)
     return SurveyGraph(survey, number, navigation, gt, truth, tuple(draws), *noise)
+
+
+def without_track(
+    survey: str,
+    submaps: Sequence[Submap],
+    poses: np.ndarray,
+    spacing: float,
+    settings: loop_closure.Settings,
+    registration: gicp.Settings,
+) -> SurveyGraph:
+    """Return the graph of submaps at poses (n, 4, 4) that no vehicle went to one after the other: it has no edges."""
+    number, unknown = np.array([s.number for s in submaps], np.int64), np.full_like(poses, np.nan)
+    none = loop_closure.close([], poses[:0], None, spacing, settings, registration)
+    if none.centroid is not None:  # where yaw is found, every node has one
+        none = dataclasses.replace(none, centroid=np.array([s.points[:, :2].mean(axis=0) for s in submaps]))
+    noise = (settings.dead_reckoning, settings.loop_closure)
+    return SurveyGraph(survey, number, poses, poses, unknown, (none,) * settings.draws, *noise, track=False)
 
 
 def _draw(

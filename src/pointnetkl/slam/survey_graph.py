@@ -55,6 +55,7 @@ class SurveyGraph:
     draws: tuple[Closures, ...]
     dead_reckoning_noise: DeadReckoningNoise
     closure_noise: ClosureNoise
+    track: bool = True  # whether a vehicle went from node to node; else there are no edges, and nothing to optimise
 
     @property
     def closures(self) -> Closures:
@@ -139,7 +140,7 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
 
     return {
         "submaps": len(graph.number),
-        "dead_reckoning_edges": len(graph.number) - 1,
+        "dead_reckoning_edges": len(graph.number) - 1 if graph.track else 0,
         "loop_closures": len(closures.edges.source),
         "registrations": len(closures.node),
         "registrations_converged": int(closures.converged.sum()),
@@ -169,11 +170,12 @@ def to_arrays(graph: SurveyGraph) -> dict[str, np.ndarray]:
         "navigation": graph.navigation,
         "gt": graph.gt,
         "truth": graph.truth,
-        "dead_reckoning": pose_graph.between(graph.gt),
+        "dead_reckoning": pose_graph.between(graph.gt if graph.track else graph.gt[:1]),
         "dead_reckoning_sigmas": pose_graph.sigmas(graph.dead_reckoning_noise),
         "closure_sigmas": pose_graph.sigmas(graph.closure_noise),
         "draws": np.array(len(graph.draws)),
         **({} if centroid is None else {"node_centroid_m": centroid}),
+        **({} if graph.track else {"track": np.array(False)}),
         **rows,
     }
 
@@ -194,6 +196,7 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> SurveyGraph:
             draws=tuple(_closures(arrays, draw) for draw in range(int(arrays["draws"]))),
             dead_reckoning_noise=DeadReckoningNoise(*arrays["dead_reckoning_sigmas"].tolist()),
             closure_noise=ClosureNoise(*arrays["closure_sigmas"].tolist()),
+            track=bool(arrays.get("track", True)),
         )
     except KeyError as error:
         raise SurveyGraphError(f"the graph lacks {error}; delete it and run dvc repro") from error

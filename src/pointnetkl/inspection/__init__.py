@@ -1,0 +1,1 @@
+"""What a raw file holds, before anything is computed from it: facts, their text, and two plots."""

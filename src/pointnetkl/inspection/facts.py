@@ -1,0 +1,73 @@
+"""What is told of a raw file: numbers and words, None where there is none."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+_DECIMALS = {"_m": 3, "_m2": 0, "_deg": 7, "_s": 3}  # by a name's ending: finer than anybody measures
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A file as `inspect` tells it; the fields' names and order are those of its JSON."""
+
+    file: str
+    format: str | None = None
+    kind: str | None = None  # pings, points, submaps, grid, navigation
+    sensor: str | None = None
+    start: str | None = None  # ISO 8601, UTC
+    end: str | None = None
+    week_s: tuple[float, float] | None = None  # start and end in seconds of the week, where a file knows no date
+    duration_s: float | None = None
+    records: int | None = None  # of navigation
+    pings: int | None = None  # that could be read
+    pings_used: int | None = None  # of these, with a time and a place
+    beams: dict[str, int] | None = None  # per ping: min, median, max
+    soundings: int | None = None
+    valid: int | None = None
+    flagged: dict[str, int] = field(
+        default_factory=dict
+    )  # not valid: rejected (by the sonar or its operator), impossible
+    track_m: float | None = None
+    swath_m: float | None = None  # median over the pings
+    area_m2: float | None = None  # with soundings
+    cell_m: float | None = None  # of a grid
+    depth_min_m: float | None = None  # of pings, 1 % of the valid soundings are shallower; else of all
+    depth_max_m: float | None = None  # and 1 % deeper: single wrong soundings would set the range
+    depth_extremes_m: tuple[float, float] | None = None  # of all valid soundings
+    crs: str | None = None
+    extent_m: tuple[float, float, float, float] | None = None  # west, south, east, north of the valid soundings, in crs
+    longitude_deg: float | None = None  # where it begins
+    latitude_deg: float | None = None
+    pose: dict[str, float] | None = None  # of a submap
+    vertical: str | None = None
+    skipped: dict[str, int] = field(default_factory=dict)  # counts by reason
+    problems: list[str] = field(default_factory=list)
+    error: str | None = None  # why it cannot be used
+    plots: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields as JSON has them, without `error` and `plots` where there are none."""
+        content = {name: _rounded(name, value) for name, value in dataclasses.asdict(self).items()}
+        return {name: value for name, value in content.items() if value or name not in ("error", "plots")}
+
+
+def moment(time_s: float) -> str | None:
+    """Return a time, seconds since 1970, as ISO 8601 in UTC; None where it is in no year of the calendar."""
+    try:
+        return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    except (ValueError, OverflowError, OSError):  # as the platform has it
+        return None
+
+
+def _rounded(name: str, value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(key, inner) for key, inner in value.items()}
+    if isinstance(value, tuple):
+        return [_rounded(name, inner) for inner in value]
+    if not isinstance(value, float):
+        return value
+    decimals = _DECIMALS.get(f"_{name.rpartition('_')[2]}", 6)
+    return round(value, decimals) if math.isfinite(value) else None
