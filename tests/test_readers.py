@@ -356,3 +356,22 @@ def outcome_of(path: Path, content: bytes) -> str:
     assert np.isfinite(survey.pings[["time_s", "x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(float)).all()
     assert len(survey.pings) + sum(n for why, n in survey.report["skipped"].items() if "pings" in why.split()[:2]) >= 1
     return ""
+
+
+@pytest.mark.parametrize("wild", [slice(20, 40), slice(0, 3), slice(57, 60)])
+def test_a_run_of_wild_positions_is_off_the_track(tmp_path: Path, wild: slice):
+    raw = geographic(5.0, 50.0, pings=60)
+    raw["longitude_deg"] = 5.0 + 1e-4 * np.repeat(np.arange(60), 5)
+    clean = read(tmp_path, raw)
+    lost = np.isin(np.repeat(np.arange(60), 5), np.arange(60)[wild])
+    raw.loc[lost, ["longitude_deg", "latitude_deg"]] = 0.0
+    found = read(tmp_path, raw)
+    assert found.report["skipped"]["pings far off the track"] == lost.sum() / 5
+    assert track_length(found.pings) == pytest.approx(track_length(clean.pings), rel=0.06)
+
+
+def test_pings_without_a_time_are_no_points_and_milliseconds_no_seconds(tmp_path: Path):
+    rows().drop(columns="time_s").to_csv(tmp_path / "raw.csv", index=False)
+    assert "column time_s is missing" in refusal(tmp_path / "raw.csv")
+    rows().assign(time_s=1.6e12).to_csv(tmp_path / "raw.csv", index=False)
+    assert "time_s reaches 1.6e+12, must be seconds since 1970" in refusal(tmp_path / "raw.csv")

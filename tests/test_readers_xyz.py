@@ -158,3 +158,8 @@ def test_mutated_texts_end_in_a_sentence_or_in_finite_points(tmp_path: Path, hea
             assert "\n" not in sentence
         else:
             assert all(np.isfinite(part.soundings.to_numpy(float)).all() for part in parts)
+
+
+def test_numbers_that_stand_for_none_are_no_depths(tmp_path: Path):
+    part = read(tmp_path, "1 2 -20\n2 3 -9999\n3 4 -21\n4 5 -32768\n")
+    assert part.soundings["quality"].tolist() == [0, 2, 0, 2]

@@ -40,3 +40,11 @@ def test_a_mark_is_found_across_the_edges_of_stretches(tmp_path: Path):
             assert window.find(b"#MRZ", at + 1) == -1
             assert window.find(b"#MRZ", 0, at + 4) == at
             assert window.find(b"#MRZ", 0, at + 3) == -1
+
+
+def test_a_file_that_gets_shorter_is_told(tmp_path: Path):
+    (tmp_path / "file").write_bytes(bytes(5000))
+    with Window(tmp_path / "file", stretch=64) as window:
+        (tmp_path / "file").write_bytes(bytes(100))
+        with pytest.raises(OSError, match="cut off while it was read"):
+            window.read(2000, 8)

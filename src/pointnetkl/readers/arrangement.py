@@ -1,5 +1,6 @@
 """The pings of many raw files as those of one survey: which are used, and in which order."""
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
 
@@ -143,4 +144,34 @@ def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
         east, north = projection.roughly(east, north)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad([time, east, north], ((0, 0), (2, 2)), "reflect"), 5, 1)
     off = np.hypot(east - np.median(windows[1], 1), north - np.median(windows[2], 1))
-    return np.asarray(off > _JITTER_M + _FASTEST_M_S * np.ptp(windows[0], 1))
+    off = np.asarray(off > _JITTER_M + _FASTEST_M_S * np.ptp(windows[0], 1))
+    off[~off] = _unreachable(time[~off], east[~off], north[~off])
+    return off
+
+
+def _unreachable(time: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Return which pings (n,) no vehicle comes to from the longest run of pings that one could have sailed.
+
+    A run of wild positions, as of a receiver that has lost its satellites, would agree with itself.
+    """
+
+    def reached(one: int, other: int) -> bool:
+        distance = float(np.hypot(east[one] - east[other], north[one] - north[other]))
+        return distance <= _JITTER_M + _FASTEST_M_S * abs(float(time[one] - time[other]))
+
+    apart = np.hypot(np.diff(east), np.diff(north)) > _JITTER_M + _FASTEST_M_S * np.diff(time)
+    runs = list(itertools.pairwise([0, *(1 + np.flatnonzero(apart)).tolist(), len(time)]))
+    longest = max(range(len(runs)), key=lambda run: runs[run][1] - runs[run][0])
+    lost = np.zeros(len(time), bool)
+    before = after = runs[longest]
+    for run in runs[longest + 1 :]:
+        if reached(before[1] - 1, run[0]):
+            before = run
+        else:
+            lost[slice(*run)] = True
+    for run in reversed(runs[:longest]):
+        if reached(after[0], run[1] - 1):
+            after = run
+        else:
+            lost[slice(*run)] = True
+    return lost

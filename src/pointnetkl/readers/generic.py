@@ -31,6 +31,7 @@ _SOUNDING = ("along_m", "across_m", "down_m")
 _HEADER_BYTES = 1 << 16
 _BLOCK = 1 << 21  # bytes of text that are read at once
 _LARGE, _BUFFER = 1 << 26, 1 << 20  # bytes of a file whose columns are read so many bytes at once
+_LATEST_S = 1e10  # in the year 2286
 _SAME = 1e-6  # how much navigation may differ within a ping: rounding, in metres or radians
 
 Columns = dict[str, np.ndarray]
@@ -42,7 +43,9 @@ class GenericError(SurveyError):
 
 def begins(head: bytes) -> bool:
     """Whether the first bytes of a file are those of generic pings."""
-    return head.startswith(b"PAR1") or b"time_s" in head.split(b"\n", 1)[0]
+    names = head.split(b"\n", 1)[0]
+    # any of the names that no table of points has: else one without a time would pass for points at the vehicle
+    return head.startswith(b"PAR1") or any(name in names for name in (b"time_s", b"along_m", b"across_m", b"down_m"))
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -193,6 +196,8 @@ def _timed(columns: Columns, skipped: dict[str, int]) -> Columns:
 def _check_units(path: Path, columns: Columns) -> None:
     if not len(columns["time_s"]):
         return
+    if (latest := float(columns["time_s"].max())) > _LATEST_S:
+        raise GenericError(f"{path}: time_s reaches {latest:.4g}, must be seconds since 1970, not milliseconds")
     most = float(np.nanmax(np.abs(columns["heading_rad"]), initial=0.0))
     if most > 2 * np.pi + _SAME:
         raise GenericError(f"{path}: heading_rad reaches {most:.4g}, must be radians within one turn")

@@ -10,6 +10,7 @@ from pointnetkl.readers import projection, recording
 from pointnetkl.readers.recording import Problems, Recording
 from pointnetkl.survey import POINTS
 
+_NO_DATA = (9999.0, 99999.0, 32767.0, 32768.0, 1e6)  # numbers that stand for none, of either sign
 _BEYOND_TURNS = "soundings without a position on the earth"
 
 
@@ -76,6 +77,7 @@ def _table(points: Points, block: Block) -> pd.DataFrame:
         points.skip(_BEYOND_TURNS, int(np.sum(placed & ~earthly)))
         x, placed = np.mod(x + 180.0, 360.0) - 180.0 if np.any(np.abs(x[earthly]) > 180) else x, earthly
     x, y, z, quality = x[placed], y[placed], z[placed], quality[placed].astype(np.int8)
+    quality[np.isin(np.abs(z), _NO_DATA) & (quality == 0)] = recording.IMPOSSIBLE
     return pd.DataFrame({"east": x, "north": y, "up_m": _up(points, z, quality), "quality": quality})
 
 

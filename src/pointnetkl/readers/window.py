@@ -12,7 +12,7 @@ class Window:
     """A file opened for reading, whose bytes are asked for by offset; what lies near the last ones costs nothing.
 
     Raises:
-        OSError: the file cannot be opened or read.
+        OSError: the file cannot be opened or read, or gets shorter meanwhile.
     """
 
     def __init__(self, path: Path, stretch: int = _STRETCH) -> None:
@@ -39,6 +39,8 @@ class Window:
             self._file.seek(offset)
             wanted = min(max(count, self._stretch), self.size - offset)
             self._begin, self._held, begin = offset, self._file.read(wanted), 0
+            if len(self._held) < wanted:
+                raise OSError("it was cut off while it was read")
         return memoryview(self._held)[begin : begin + count]
 
     def find(self, mark: bytes, offset: int, before: int | None = None) -> int:
