@@ -215,11 +215,45 @@ def test_the_kernel_version_changes_with_the_code_and_not_with_line_ends_or_plac
     assert version_of(copy, monkeypatch) == here
     for name in ("gicp/kernel.py", "monte_carlo.py"):
         with (copy / name).open("a") as file:
-            file.write("# changed\n")
+            file.write("CHANGED = 1\n")
         assert version_of(copy, monkeypatch) != here
         shutil.copy(SOURCE / "pointnetkl" / name, copy / name)
     monkeypatch.setattr(shards, "_version", lambda library: "0.0")
     assert version_of(copy, monkeypatch) != here
+
+
+def test_the_kernel_version_is_of_statements_wherever_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    here = shards.kernel_version("cpu")
+    copy = tmp_path / "elsewhere"
+    shutil.copytree(SOURCE / "pointnetkl", copy, ignore=shutil.ignore_patterns("__pycache__"))
+    # a function moves to another file of the same room, the file gets another name, and its importer says so
+    kernel, weights = copy / "gicp/kernel.py", copy / "gicp/weights.py"
+    last = kernel.read_text().rindex("\n\n\n@kernel\n")
+    (copy / "gicp/weighing.py").write_text(f'"""Other words."""\n{weights.read_text()}{kernel.read_text()[last:]}')
+    kernel.write_text(kernel.read_text()[:last].replace("from pointnetkl.gicp import", "from pointnetkl.rooms import"))
+    weights.unlink()
+    assert version_of(copy, monkeypatch) == here
+
+
+def test_statements_leave_out_what_decides_no_label():
+    source = '''"""A module."""
+
+import math
+
+from pointnetkl import pose  # ours
+
+
+@cached
+def turned(x: float) -> float:
+    """Return it turned."""
+    # because
+    return math.sin(x)  # of x
+
+"text"
+'''
+    kept = ["import math", "@cached\ndef turned(x: float) -> float:\n    return math.sin(x)"]
+    assert shards.statements(source) == kept
+    assert shards.statements("x = 1\n") != shards.statements("x = 2\n")
 
 
 def test_every_module_that_a_label_is_made_by_is_in_the_kernel_version():

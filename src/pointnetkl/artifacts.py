@@ -6,6 +6,7 @@ import io
 import json
 import os
 import uuid
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -192,9 +193,20 @@ def require_survey(survey: str, *paths: Path) -> None:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
-    """Write named arrays to one npz file, and the parameters that made them as its `metadata`."""
+    """Write named arrays to one npz file, and the parameters that made them as its `metadata`.
+
+    The bytes depend on the arrays and the parameters alone. np.savez leaves the headers to Python's zipfile, which
+    changed them in 3.11.4, so each member's header is written out here.
+    """
     buffer = io.BytesIO()
-    np.savez(buffer, metadata=np.array(json.dumps(metadata, sort_keys=True)), **dict(arrays))  # type: ignore[arg-type]
+    members = {"metadata": np.array(json.dumps(metadata, sort_keys=True)), **arrays}
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # no compression: zlib's bytes differ by version
+        for name, array in members.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o600 << 16  # whatever system writes it
+            archive.writestr(entry, content.getvalue())
     write_bytes(path, buffer.getvalue())
 
 

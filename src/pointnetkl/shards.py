@@ -1,12 +1,15 @@
 """Labels kept as they are made, a file each, named by all that decides them: a killed run resumes where it was."""
 
+import ast
 import contextlib
 import functools
 import hashlib
 import importlib.metadata
+import io
 import json
 import socket
 import time
+import tokenize
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,11 +35,35 @@ class ShardError(PointNetKLError):
 
 @functools.cache
 def kernel_version(engine: str) -> str:
-    """Return a hash of the code that decides an engine's labels: nobody has to remember to raise a number."""
+    """Return a hash of the code that decides an engine's labels: nobody has to remember to raise a number.
+
+    It is of the statements of the modules in SOURCES, in whichever file they stand, and of the libraries that draw,
+    search and compile. What a module is called, what it imports from this project, comments and docstrings are left
+    out: none of them changes a label.
+    """
     folder = Path(__file__).parent
-    # text, so that line ends do not count; and the libraries that draw, search and compile
-    sources = {str(f.relative_to(folder)): f.read_text("utf-8") for s in SOURCES for f in sorted(folder.glob(s))}
-    return _hash({"sources": sources, "libraries": [_version(name) for name in LIBRARIES[engine]]})
+    files = {file for pattern in SOURCES for file in folder.glob(pattern)}
+    code = sorted(text for file in files for text in statements(file.read_text("utf-8")))
+    return _hash({"code": code, "libraries": [_version(name) for name in LIBRARIES[engine]]})
+
+
+def statements(source: str) -> list[str]:
+    """Return the top-level statements of a module as text, without comments, docstrings and imports of this project."""
+    lines = source.splitlines()
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        ours = isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pointnetkl"
+        # text alone is a statement that does nothing
+        if ours or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+            first, last = node.lineno - 1, node.end_lineno or node.lineno
+            lines[first:last] = [""] * (last - first)
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start[0] - 1, token.start[1]
+            lines[row] = lines[row][:column]
+    spans = [(_first_line(node) - 1, node.end_lineno) for node in tree.body]
+    kept = ("\n".join(line.rstrip() for line in lines[first:last] if line.strip()) for first, last in spans)
+    return [text for text in kept if text]
 
 
 @dataclass(frozen=True)
@@ -147,6 +174,11 @@ def _made(path: Path) -> Label:
     if (label := read(path)) is None:
         raise ShardError(f"{path}: was made and is gone or damaged; is its folder seen by the workers? Run it again")
     return label
+
+
+def _first_line(node: ast.stmt) -> int:
+    # a definition begins with its decorators
+    return min([node.lineno, *(each.lineno for each in getattr(node, "decorator_list", []))])
 
 
 def _version(library: str) -> str | None:
