@@ -26,7 +26,7 @@ bench: .venv/complete  ## registrations against small_gicp and Open3D: medians o
 
 fuzz: .venv/complete  ## every reader of raw files on 10,000 damaged ones, twice; some 20 minutes
 	@$(BIN)/python -m pip install --quiet -e '.[fuzz]'
-	@$(BIN)/python tests/fuzz.py
+	@$(BIN)/python tests/helpers/fuzz.py
 
 lint: .venv/complete  ## ruff, and mypy --strict on src
 	@$(BIN)/ruff check .

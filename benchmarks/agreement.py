@@ -23,8 +23,10 @@ from tqdm import tqdm
 
 import submaps
 from divergence import NEAR_M, Apart, Pair
-from pointnetkl import command, gicp, monte_carlo, settings, text_table
-from pointnetkl.covariance import gaussian
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.reporting import text_table
+from pointnetkl.workflow import command, settings
 
 KL_FLOOR_M2 = 0.01  # as wherever a KL is judged
 KL_GOAL = 1e-3

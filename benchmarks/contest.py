@@ -9,8 +9,8 @@ import numpy as np
 
 import peers
 import submaps
-from pointnetkl import gicp, monte_carlo
-from pointnetkl.covariance import gaussian
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import gaussian
 
 OPEN3D_RUNS = 5  # a repetition: it is only quoted
 

@@ -14,25 +14,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import (
-    artifacts,
-    dataset,
-    device,
-    metrics,
-    model,
-    model_file,
-    settings,
-    simulation,
-    terrain,
-    text_table,
-    training,
-)
-from pointnetkl import study as studies
-from pointnetkl.covariance import table
-from pointnetkl.dataset import Samples
-from pointnetkl.model_file import Stored
-from pointnetkl.reporting import results, summary
-from pointnetkl.reporting.summary import Judged
+from pointnetkl import simulation, training
+from pointnetkl.models import model, model_file
+from pointnetkl.models.model_file import Stored
+from pointnetkl.registration.covariance import metrics, table
+from pointnetkl.reporting import results, terrain, text_table
+from pointnetkl.reporting.covariances import numbers as summary
+from pointnetkl.reporting.covariances.numbers import Judged
+from pointnetkl.training import dataset, device
+from pointnetkl.training.dataset import Samples
+from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import study as studies
 
 
 def main(arguments: argparse.Namespace) -> None:

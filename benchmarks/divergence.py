@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pointnetkl import gicp
+from pointnetkl.registration import gicp
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 import reference_gicp  # the tests' own
 
 NEAR_M = 1e-3  # results under this apart are the same

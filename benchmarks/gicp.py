@@ -27,7 +27,10 @@ from tqdm import tqdm
 import peers
 import submaps
 from contest import Contest, Row
-from pointnetkl import command, gicp, monte_carlo, runtime, settings, text_table
+from pointnetkl.methods import runtime
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.reporting import text_table
+from pointnetkl.workflow import command, settings
 
 LABEL_RUNS = 3000  # of the paper: what preparing a submap is shared out over
 KL_FLOOR_M2 = 0.01  # as wherever a KL is judged

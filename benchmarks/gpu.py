@@ -23,9 +23,13 @@ import numpy as np
 from tqdm import tqdm
 
 import submaps
-from pointnetkl import command, gicp, monte_carlo, runtime, settings, text_table
-from pointnetkl.covariance import gaussian
-from pointnetkl.gicp import cuda, registration
+from pointnetkl.methods import runtime
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.gicp import registration
+from pointnetkl.registration.gicp.cuda import engine as cuda
+from pointnetkl.reporting import text_table
+from pointnetkl.workflow import command, settings
 
 POINTS = 6553  # of the paper's mean submap
 PAPER_SUBMAPS, PAPER_RUNS, GOAL_S = 9080, 3000, 120.0

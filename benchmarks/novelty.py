@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, command, dataset, estimator, settings, submap, text_table
-from pointnetkl.covariance import gaussian, table
-from pointnetkl.errors import PointNetKLError
+from pointnetkl import estimator
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.reporting import text_table
+from pointnetkl.surveys import submap
+from pointnetkl.training import dataset
+from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow.errors import PointNetKLError
 
 _SPIKES = 0.01, 10.0  # share of the points, metres
 _SEEN_FROM = 4  # every so many-th submap is made foreign

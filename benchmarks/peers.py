@@ -6,7 +6,7 @@ from types import ModuleType
 
 import numpy as np
 
-from pointnetkl import gicp
+from pointnetkl.registration import gicp
 from submaps import BenchmarkError
 
 ROTATION_TOLERANCE_RAD = 0.1 * np.pi / 180  # small_gicp's own

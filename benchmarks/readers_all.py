@@ -48,7 +48,7 @@ def generate(source: Path, target: Path, size: float) -> None:
 
 def ours(path: Path) -> Iterator[Beams]:
     """Yield the beams of each part that our reader gives."""
-    from pointnetkl.readers import kongsberg_all
+    from pointnetkl.readers.formats import kongsberg_all
 
     for part in kongsberg_all.read(path):
         down, across, along = (part.soundings[name].to_numpy() for name in ("down_m", "across_m", "along_m"))

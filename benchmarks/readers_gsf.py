@@ -38,7 +38,7 @@ def generate(source: Path, target: Path, size: float) -> None:
 
 def ours(path: Path) -> Iterator[Beams]:
     """Yield the beams of each part that our reader gives."""
-    from pointnetkl.readers import gsf, recording
+    from pointnetkl.readers.formats import gsf, recording
 
     for part in gsf.read(path):
         table = part.soundings

@@ -22,7 +22,9 @@ from typing import Any
 import yaml
 
 import submaps
-from pointnetkl import artifacts, command, submap, text_table
+from pointnetkl.reporting import text_table
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command
 
 SURVEY = "borno_8"
 FEWEST_RUNS = 3  # of a label that is no singular matrix

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import gicp, settings, simulation, study
-from pointnetkl.covariance import structure_tensor
-from pointnetkl.errors import PointNetKLError
+from pointnetkl import simulation
+from pointnetkl.methods.fitted import structure_tensor
+from pointnetkl.registration import gicp
 from pointnetkl.simulation import seabed
+from pointnetkl.workflow import settings, study
+from pointnetkl.workflow.errors import PointNetKLError
 
 POINTS = 6534  # of a submap: those of the specification's measurements; the paper's mean is 6553
 SURVEYS = ("borno_8", "thwaites_11")  # 3.2 and 6.7 m between points

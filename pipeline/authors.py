@@ -8,23 +8,17 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pointnetkl import (
-    artifacts,
-    checkpoint,
-    command,
-    consolidated,
-    consolidated_tables,
-    dataset,
-    device,
-    model_file,
-    network,
-    settings,
-    text_table,
-    training,
-)
-from pointnetkl.consolidated import Consolidated
-from pointnetkl.consolidated_tables import Judged
-from pointnetkl.text_table import Block
+from pointnetkl import training
+from pointnetkl.authors import consolidated
+from pointnetkl.authors import tables as consolidated_tables
+from pointnetkl.authors.consolidated import Consolidated
+from pointnetkl.authors.tables import Judged
+from pointnetkl.models import model_file
+from pointnetkl.models import pointnetkl as network
+from pointnetkl.reporting import text_table
+from pointnetkl.reporting.text_table import Block
+from pointnetkl.training import checkpoint, dataset, device
+from pointnetkl.workflow import artifacts, command, settings
 
 _CHECKPOINT_S = 60.0
 

@@ -5,9 +5,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
-from pointnetkl.covariance import table, trained
-from pointnetkl.slam import closure_errors, closure_overlap, graph_file, loop_closure
+from pointnetkl.models import trained
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.closures import errors as closure_errors
+from pointnetkl.slam.closures import loop_closure, overlap
+from pointnetkl.slam.graph import graph_file
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -25,7 +30,7 @@ def main(arguments: argparse.Namespace) -> None:
     rows, measured = closure_errors.measure(made, submaps, chosen, how)
     models = trained.load_all([arguments.model], label, registration)
     reach = None if graph.overlap_factor is None else graph.overlap_factor * how.spacing_m
-    covariances = pd.concat([measured, closure_overlap.tabulate(models, made, submaps, reach)], ignore_index=True)
+    covariances = pd.concat([measured, overlap.tabulate(models, made, submaps, reach)], ignore_index=True)
     metadata = {"survey": name, "calibrate": settings.as_metadata(chosen), "graph": made_with}
     dimensions = registration.dimensions
     artifacts.write_table(arguments.closures, rows, closure_errors.schema(dimensions), metadata)

@@ -3,8 +3,11 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
-from pointnetkl.covariance import estimated, method, table
+from pointnetkl.methods import estimated
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import method, table
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -3,9 +3,11 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, settings, study, submap
-from pointnetkl.covariance import fitting, learned
-from pointnetkl.covariance.self_registration import SelfRegistration
+from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
+from pointnetkl.methods.fitted import fitting, learned
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings, study
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap, survey
-from pointnetkl.slam import graph_construction, loop_closure, pose_table, survey_graph
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.slam.closures import graph_construction, loop_closure
+from pointnetkl.slam.graph import survey_graph
+from pointnetkl.surveys import pose_table, submap, survey
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

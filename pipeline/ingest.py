@@ -3,7 +3,9 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, readers, settings, survey
+from pointnetkl import readers
+from pointnetkl.surveys import survey
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

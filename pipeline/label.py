@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, command, gicp, label_summary, monte_carlo, settings, shards, study
+from pointnetkl.labels import shards, warnings
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.workflow import artifacts, command, settings, study
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -36,7 +38,7 @@ def main(arguments: argparse.Namespace) -> None:
     artifacts.write_table(arguments.labels, rows, schema, parameters)
     artifacts.write_arrays(arguments.errors, samples, parameters)
     prior_sigma_m, target = chosen.prior_variance_m2**0.5, chosen.target_relative_error
-    print(*label_summary.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")
+    print(*warnings.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")
 
 
 def padded(errors: list[np.ndarray]) -> np.ndarray:

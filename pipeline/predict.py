@@ -3,9 +3,13 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, settings, submap
-from pointnetkl.covariance import learned, method, table, trained
-from pointnetkl.covariance.self_registration import SelfRegistration
+from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
+from pointnetkl.methods.fitted import learned
+from pointnetkl.models import trained
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import method, table
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -3,9 +3,11 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, settings, simulation, study
-from pointnetkl.reporting import report, summary
+from pointnetkl import simulation
+from pointnetkl.reporting import report
+from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.results import Folders
+from pointnetkl.workflow import artifacts, command, settings, study
 
 
 def main(arguments: argparse.Namespace) -> None:

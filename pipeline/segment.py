@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts, command, segmentation, settings, study, submap, survey, tiles
-from pointnetkl.study import StudySurvey
+from pointnetkl import segmentation
+from pointnetkl.segmentation import tiles
+from pointnetkl.surveys import submap, survey
+from pointnetkl.workflow import artifacts, command, settings, study
+from pointnetkl.workflow.study import StudySurvey
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import artifacts, command, settings, simulation
+from pointnetkl import simulation
 from pointnetkl.simulation import vehicle
-from pointnetkl.survey import TRAJECTORY
+from pointnetkl.surveys.survey import TRAJECTORY
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -9,14 +9,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, command, settings, submap
-from pointnetkl.consistency import consistency_map, map_frame, map_thinning
-from pointnetkl.consistency.map_cells import Cells
-from pointnetkl.consistency.map_to_map import MapToMap
-from pointnetkl.consistency.map_to_map_auvlib import MapToMapAuvlib
-from pointnetkl.covariance import table
-from pointnetkl.slam import graph_file, protocol, slam_benchmark
-from pointnetkl.slam.survey_graph import SurveyGraph
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.benchmark import benchmark as slam_benchmark
+from pointnetkl.slam.benchmark import protocol
+from pointnetkl.slam.consistency import consistency_map, map_frame, map_thinning
+from pointnetkl.slam.consistency.map_cells import Cells
+from pointnetkl.slam.consistency.map_to_map import MapToMap
+from pointnetkl.slam.consistency.map_to_map_auvlib import MapToMapAuvlib
+from pointnetkl.slam.graph import graph_file
+from pointnetkl.slam.graph.survey_graph import SurveyGraph
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 class Found(NamedTuple):

@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts, command, settings, submap
-from pointnetkl.covariance import table
-from pointnetkl.slam import false_closures, graph_file, loop_gate, protocol, stress
-from pointnetkl.slam.survey_graph import SurveyGraph
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.benchmark import protocol
+from pointnetkl.slam.graph import graph_file
+from pointnetkl.slam.graph.survey_graph import SurveyGraph
+from pointnetkl.slam.robust import false_closures, loop_gate, stress
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

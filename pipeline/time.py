@@ -12,12 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts, command, gicp, monte_carlo, runtime, settings, simulation
-from pointnetkl.covariance import constant, estimated, learned, sampled, trained
-from pointnetkl.covariance.method import Method
-from pointnetkl.covariance.self_registration import SelfRegistration
+from pointnetkl import simulation
+from pointnetkl.methods import estimated, runtime, sampled
+from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
+from pointnetkl.methods.fitted import constant, learned
+from pointnetkl.models import trained
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance.method import Method
 from pointnetkl.simulation import seabed
-from pointnetkl.submap import Submap
+from pointnetkl.surveys.submap import Submap
+from pointnetkl.workflow import artifacts, command, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -8,25 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import (
-    artifacts,
-    checkpoint,
-    command,
-    dataset,
-    device,
-    gicp,
-    mean_field,
-    mean_field_network,
-    model_card,
-    model_file,
-    monte_carlo,
-    novelty,
-    settings,
-    study,
-    training,
-)
-from pointnetkl.covariance import gaussian
-from pointnetkl.model import Model
+from pointnetkl import training
+from pointnetkl.models import mean_field, mean_field_network, model_file, novelty
+from pointnetkl.models.model import Model
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.reporting import model_card
+from pointnetkl.training import checkpoint, dataset, device
+from pointnetkl.workflow import artifacts, command, settings, study
 
 # Where KL is judged, as report.kl_floor_m2 has it: to read that here would train again whenever a report changes.
 JUDGED_AT_M2 = 0.01

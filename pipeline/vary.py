@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from pointnetkl import artifacts, command, compute, gicp, monte_carlo, sensitivity, settings, study, submap
+from pointnetkl.labels import sensitivity
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.surveys import submap
+from pointnetkl.workflow import artifacts, command, compute, settings, study
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import artifacts, command, compute, settings, submap, voxel
+from pointnetkl.surveys import submap, voxel
+from pointnetkl.workflow import artifacts, command, compute, settings
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from pointnetkl.commands import NAMES
-from pointnetkl.errors import PointNetKLError
+from pointnetkl.workflow.errors import PointNetKLError
 
 
 def main(words: Sequence[str] | None = None) -> int:

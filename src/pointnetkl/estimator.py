@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pointnetkl import model, model_file
-from pointnetkl.covariance import gaussian, trained
-from pointnetkl.errors import PointNetKLError
-from pointnetkl.model_file import Stored
+from pointnetkl.models import model, model_file, trained
+from pointnetkl.models.model_file import Stored
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.workflow.errors import PointNetKLError
 
 FEWEST = 20  # points: a registration takes a plane from as many
 _APART = 10.0  # a point so many times as far out as the others is no part of their submap

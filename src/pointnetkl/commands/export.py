@@ -37,9 +37,10 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and print what is in them."""
     # some seconds, which --help need not take
-    from pointnetkl import settings
     from pointnetkl.exchange import g2o, graph_exchange, tum
-    from pointnetkl.slam import graph_file, pose_graph, protocol, survey_graph
+    from pointnetkl.slam.benchmark import protocol
+    from pointnetkl.slam.graph import graph_file, pose_graph, survey_graph
+    from pointnetkl.workflow import settings
 
     shared.require_apart(arguments.out, arguments.tum)
     how = settings.read(arguments.params, "slam", protocol.Settings)
@@ -68,7 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _times(path: Path | None, survey: Any) -> tuple[np.ndarray, str]:
     """Return each submap's time (n,), and what it is: seconds where a table of poses has them, else its number."""
-    from pointnetkl import artifacts, submap
+    from pointnetkl.surveys import submap
+    from pointnetkl.workflow import artifacts
 
     if path is None:
         return survey.number.astype(np.float64), "a submap's number stands for its time"

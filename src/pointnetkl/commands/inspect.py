@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pointnetkl.commands import shared
-from pointnetkl.errors import PointNetKLError
+from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
 What raw files of bathymetry hold: format, sonar, time, pings, soundings, track, depths, place, and what was left out

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pointnetkl.commands import shared
-from pointnetkl.errors import PointNetKLError
+from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
 Covariance of the registration (GICP) of each submap, by a trained model.
@@ -41,13 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Print a row for each file; return 1 if one of them could not be used."""
     # some seconds, which --help need not take
     from pointnetkl import estimator
-    from pointnetkl.exchange import cloud_files
+    from pointnetkl.readers.formats import clouds
 
     model = estimator.CovarianceEstimator.load(arguments.model)
     rows = []
     for path in arguments.submaps:
         try:
-            points = cloud_files.read(path)
+            points = clouds.read(path)
             rows.append({"file": str(path), "points": len(points), **_numbers(model.judge(points))})
         except PointNetKLError as error:
             sentence = str(error) if str(path) in str(error) else f"{path}: {error}"
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _numbers(prediction: Any) -> dict[str, Any]:
     """Return a prediction as a row's numbers."""
-    from pointnetkl.covariance import table
+    from pointnetkl.registration.covariance import table
 
     q = prediction.covariance
     major, minor, angle = shared.ellipse(q[:2, :2])

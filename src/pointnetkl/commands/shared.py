@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pointnetkl.errors import PointNetKLError
+from pointnetkl.workflow.errors import PointNetKLError
 
 DIALECTS = """\
 dialects of a g2o file: gtsam, all in metres and radians, as GTSAM's reader and writer have it; g2o, g2o's own, where a
@@ -50,8 +50,8 @@ def covariances(
         ArtifactError, CovarianceError, SlamError: a table is damaged or not of the survey, or has a Q that is none, or
             one twice.
     """
-    from pointnetkl.covariance import table
-    from pointnetkl.slam import protocol
+    from pointnetkl.registration.covariance import table
+    from pointnetkl.slam.benchmark import protocol
 
     named = ", ".join(map(str, paths))
     rows = table.read(paths, survey)
@@ -73,7 +73,7 @@ def ellipse(q: np.ndarray) -> tuple[float, float, float]:
 
 def in_columns(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows under their names, numbers to the right; nothing where there is none."""
-    from pointnetkl import text_table
+    from pointnetkl.reporting import text_table
 
     if not rows:
         return ""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pointnetkl.commands import shared, solve
-from pointnetkl.errors import PointNetKLError
+from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
 The pose graph of submaps in PCD files with their poses, and its solution: the front end of the pipeline (Algorithm 1 of
@@ -50,9 +50,11 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the optimised graph; print a row for each submap."""
     # some seconds, which --help need not take
-    from pointnetkl import estimator, gicp, settings
+    from pointnetkl import estimator
     from pointnetkl.exchange import graph_solver, posed_submaps
-    from pointnetkl.slam import loop_closure
+    from pointnetkl.registration import gicp
+    from pointnetkl.slam.closures import loop_closure
+    from pointnetkl.workflow import settings
 
     how = _covered(settings.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
     registration = settings.read(arguments.params, "registration", gicp.Settings)

@@ -67,16 +67,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
     """Return the solution by a robust estimator; print the loop closures that it did not believe."""
-    from pointnetkl import settings
     from pointnetkl.exchange import graph_exchange, graph_solver
-    from pointnetkl.slam import robust
+    from pointnetkl.slam.robust import estimators
+    from pointnetkl.workflow import settings
 
-    thresholds = settings.read(arguments.params, "stress.thresholds", robust.Thresholds)
+    thresholds = settings.read(arguments.params, "stress.thresholds", estimators.Thresholds)
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
     if not len(doubted):
         raise shared.CommandError(f"{arguments.graph}: has no loop closure to doubt; leave --robust out")
     solved, weights = graph_solver.solve_robust(graph, doubted, arguments.robust, thresholds)
-    out = doubted[weights <= robust.ACCEPTED]
+    out = doubted[weights <= estimators.ACCEPTED]
     ends = (graph.number[nodes[out]] for nodes in (graph.edges.target, graph.edges.source))
     wrong = [f"{a}-{b}" for a, b in zip(*ends, strict=True)]
     print(f"{arguments.robust}: {len(wrong)} of {len(doubted)} loop closures not believed: {' '.join(wrong) or 'none'}")

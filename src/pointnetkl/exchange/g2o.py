@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts
-from pointnetkl.errors import PointNetKLError
-from pointnetkl.exchange import quaternion, text_lines
-from pointnetkl.slam.pose_graph import Edges
+from pointnetkl.readers.formats import text_lines
+from pointnetkl.slam.graph.pose_graph import Edges
+from pointnetkl.surveys import quaternion
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.errors import PointNetKLError
 
 DIALECTS = ("g2o", "gtsam")
 _ORDER = np.array([3, 4, 5, 0, 1, 2])  # a file has the translation first, a tangent vector of ours the rotation

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pointnetkl import pose
-from pointnetkl.errors import PointNetKLError
 from pointnetkl.exchange import g2o
-from pointnetkl.slam import pose_graph
-from pointnetkl.slam.pose_graph import DeadReckoningNoise, Edges
+from pointnetkl.slam.graph import pose_graph
+from pointnetkl.slam.graph.pose_graph import DeadReckoningNoise, Edges
+from pointnetkl.surveys import pose
+from pointnetkl.workflow.errors import PointNetKLError
 
 
 class GraphExchangeError(PointNetKLError):

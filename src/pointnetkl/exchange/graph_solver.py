@@ -8,12 +8,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pointnetkl.errors import PointNetKLError
 from pointnetkl.exchange.g2o import Graph
 from pointnetkl.exchange.graph_exchange import inverse
-from pointnetkl.slam import gtsam_search, robust
-from pointnetkl.slam.pose_graph import Edges
-from pointnetkl.slam.robust import RobustGraph, Thresholds
+from pointnetkl.slam.graph import gtsam_search
+from pointnetkl.slam.graph.pose_graph import Edges
+from pointnetkl.slam.robust import estimators
+from pointnetkl.slam.robust.estimators import RobustGraph, Thresholds
+from pointnetkl.workflow.errors import PointNetKLError
 
 _ITERATIONS = 200  # a user's first poses may be far off
 _FLAT, _FAR_M = 1e-8, 1.0  # of a bend so long that no edge feels it, steps move poses and leave the error as it is
@@ -70,8 +71,8 @@ def solve_robust(graph: Graph, doubted: np.ndarray, kernel: str, thresholds: Thr
     sure = _factors(graph, np.setdiff1d(np.arange(len(graph.edges.source)), doubted))
     covariances = inverse(graph.information[doubted])
     made = RobustGraph(sure, gtsam_search.to_values(graph.poses), closures, covariances, thresholds)
-    found = made.solve(robust.FIRST)
-    if kernel != robust.FIRST:
+    found = made.solve(estimators.FIRST)
+    if kernel != estimators.FIRST:
         found = made.solve(kernel, found)
     return _solution(graph, found.poses), found.weights
 

@@ -5,13 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import gicp, pose
-from pointnetkl.errors import PointNetKLError
-from pointnetkl.exchange import cloud_files, g2o, graph_exchange
-from pointnetkl.gicp import neighbours
-from pointnetkl.slam import loop_closure, pose_graph, survey_graph
-from pointnetkl.slam.survey_graph import Closures
-from pointnetkl.submap import Submap
+from pointnetkl.exchange import g2o, graph_exchange
+from pointnetkl.readers.formats import clouds
+from pointnetkl.registration import gicp
+from pointnetkl.registration.gicp import neighbours
+from pointnetkl.slam.closures import loop_closure
+from pointnetkl.slam.graph import pose_graph, survey_graph
+from pointnetkl.slam.graph.survey_graph import Closures
+from pointnetkl.surveys import pose
+from pointnetkl.surveys.submap import Submap
+from pointnetkl.workflow.errors import PointNetKLError
 
 _NEIGHBOURS = 20  # whose farthest is at the edge of a disk that holds so many
 
@@ -33,7 +36,7 @@ def read(paths: Sequence[Path]) -> tuple[list[Submap], np.ndarray]:
         raise PosedSubmapsError(f"there is {len(paths)} submap, a graph needs 2 or more")
     submaps, poses = [], []
     for number, path in enumerate(paths):
-        points, T = levelled(*cloud_files.read_posed(path))
+        points, T = levelled(*clouds.read_posed(path))
         if len(points) <= _NEIGHBOURS or not np.isfinite(points).all():
             raise PosedSubmapsError(f"{path}: a submap needs more than {_NEIGHBOURS} points, all of them finite")
         submaps.append(Submap("submaps", number, points, points[::2], points[1::2]))

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import artifacts
-from pointnetkl.errors import PointNetKLError
-from pointnetkl.exchange import quaternion, text_lines
+from pointnetkl.readers.formats import text_lines
+from pointnetkl.surveys import quaternion
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.errors import PointNetKLError
 
 
 class TumError(PointNetKLError):

@@ -4,12 +4,13 @@ import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
-from pointnetkl import raster, readers
-from pointnetkl.errors import PointNetKLError
+from pointnetkl import readers
 from pointnetkl.inspection import navigation, raw
 from pointnetkl.inspection.found import Found
 from pointnetkl.readers import formats, sbet
-from pointnetkl.survey import SurveyError
+from pointnetkl.simulation import depth_grid
+from pointnetkl.surveys.survey import SurveyError
+from pointnetkl.workflow.errors import PointNetKLError
 
 
 class ChoiceError(PointNetKLError):
@@ -17,7 +18,7 @@ class ChoiceError(PointNetKLError):
 
 
 _GRID, _SBET = "grid", "SBET"
-_BESIDE_SURVEYS = {_GRID: raster, _SBET: sbet}
+_BESIDE_SURVEYS = {_GRID: depth_grid, _SBET: sbet}
 _OTHERS = {".pt": "a trained model, which `predict` takes", ".g2o": "a pose graph, which `solve` takes"}
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl import raster
 from pointnetkl.inspection import earth
 from pointnetkl.inspection.cells import Cells
 from pointnetkl.inspection.facts import Facts
 from pointnetkl.inspection.found import Drawing, Found
+from pointnetkl.simulation import depth_grid
 
 _DRAWN = 900  # cells along the longer side
 _VARIABLE = "a BAG of variable resolution: only its coarse cells are told, and no survey can be simulated over it"
@@ -21,7 +21,7 @@ def look(path: Path) -> Found:
     Raises:
         GridError: the file is neither GeoTIFF nor BAG, or is damaged.
     """
-    held = raster.describe(path)
+    held = depth_grid.describe(path)
     cells, extent = _cells(path, held)
     west, east, south, north = extent
     in_metres = earth.is_metric(held.crs)
@@ -49,15 +49,15 @@ def look(path: Path) -> Found:
     return Found(facts, Drawing(cells=cells) if in_metres and held.valid else None)
 
 
-def _cells(path: Path, held: raster.Description) -> tuple[Cells, tuple[float, float, float, float]]:
+def _cells(path: Path, held: depth_grid.Description) -> tuple[Cells, tuple[float, float, float, float]]:
     """Return every so many-th cell of a grid, and its extent: west, east, south, north."""
     from rasterio.windows import Window  # with GDAL, slow to import
 
     step = -(-max(held.rows, held.columns) // _DRAWN)
-    with raster.opened(path) as dataset:
+    with depth_grid.opened(path) as dataset:
         bounds, transform = dataset.bounds, dataset.transform
         taken = range(0, held.rows, step)
-        rows = [raster.heights(path, dataset, Window(0, row, held.columns, 1))[0, ::step] for row in taken]
+        rows = [depth_grid.heights(path, dataset, Window(0, row, held.columns, 1))[0, ::step] for row in taken]
     z = np.stack(rows)
     if transform.e < 0:
         z = z[::-1]

@@ -10,13 +10,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from pointnetkl import artifacts
 from pointnetkl.inspection import earth, swath_plots
 from pointnetkl.inspection.facts import Facts
 from pointnetkl.inspection.found import Drawing, Found
 from pointnetkl.readers import projection
-from pointnetkl.reporting import plots, sheet
-from pointnetkl.reporting.maps import DEPTHS
+from pointnetkl.reporting.drawing import plots, sheet
+from pointnetkl.reporting.drawing.maps import DEPTHS
+from pointnetkl.workflow import artifacts
 
 _LEFT_IN, _TOP_IN, _BELOW_IN = 0.95, 0.6, 0.55  # room for northings, the title, eastings
 _BAR_IN, _BAR_LABEL_IN = 0.14, 0.7  # of the bar of colours, across, and for its numbers

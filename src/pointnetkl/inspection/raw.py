@@ -10,15 +10,16 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from pointnetkl import readers, survey
+from pointnetkl import readers
 from pointnetkl.inspection import cells, earth, facts
 from pointnetkl.inspection.facts import Facts
 from pointnetkl.inspection.found import Drawing, Found
 from pointnetkl.inspection.tally import Tally
 from pointnetkl.readers import spool
+from pointnetkl.readers.formats.recording import Problems
 from pointnetkl.readers.georeference import GeoreferenceError, Take
-from pointnetkl.readers.recording import Problems
-from pointnetkl.survey import POINTS, SUBMAPS, SWATHS, Survey
+from pointnetkl.surveys import survey
+from pointnetkl.surveys.survey import POINTS, SUBMAPS, SWATHS, Survey
 
 
 def look(path: Path, how: readers.Settings) -> Found:

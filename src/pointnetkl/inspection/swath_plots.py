@@ -6,8 +6,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pointnetkl.reporting import plots, sheet
-from pointnetkl.reporting.maps import DEPTHS
+from pointnetkl.reporting.drawing import plots, sheet
+from pointnetkl.reporting.drawing.maps import DEPTHS
 
 _LEFT_IN, _TOP_IN, _WIDTH_IN = 0.8, 0.62, 6.7
 _PROFILE_IN, _IMAGE_IN, _BETWEEN_IN = 2.7, 3.2, 0.95

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from pointnetkl.inspection import earth
 from pointnetkl.inspection.facts import Facts
-from pointnetkl.survey import SWATHS
+from pointnetkl.surveys.survey import SWATHS
 
 _WIDTH = 110
 _LABEL = 12  # columns, with the margin

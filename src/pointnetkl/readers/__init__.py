@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
-from pointnetkl import artifacts, compute, errors, settings
 from pointnetkl.readers import cleaning, formats, georeference, navigation, sbet, spool
 from pointnetkl.readers.formats import FORMATS
 from pointnetkl.readers.georeference import Take
 from pointnetkl.readers.spool import Spool
-from pointnetkl.survey import TRAJECTORY, Survey, SurveyError
+from pointnetkl.surveys.survey import TRAJECTORY, Survey, SurveyError
+from pointnetkl.workflow import artifacts, compute, errors, settings
 
 __all__ = ["FORMATS", "ReaderError", "Settings", "files", "read", "read_truth"]
 

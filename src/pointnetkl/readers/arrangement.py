@@ -9,7 +9,7 @@ import pandas as pd
 
 from pointnetkl.readers import projection
 from pointnetkl.readers.spool import Spool
-from pointnetkl.survey import SUBMAPS, SurveyError
+from pointnetkl.surveys.survey import SUBMAPS, SurveyError
 
 DEEPEST_M = 12_000.0  # no seabed lies below
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl import settings
+from pointnetkl.workflow import settings
 
 _SIDE = 5  # beams on either side that a beam is judged by
 PINGS = 2  # before and after, whose soundings keep a suspect company: with two heads every other one is the other's

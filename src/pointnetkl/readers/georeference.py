@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from pointnetkl import pose
 from pointnetkl.readers import arrangement, cleaning, projection, spool
 from pointnetkl.readers.arrangement import DEEPEST_M
-from pointnetkl.readers.recording import IMPOSSIBLE, OUTLIER, PART, Problems
+from pointnetkl.readers.formats.recording import IMPOSSIBLE, OUTLIER, PART, Problems
 from pointnetkl.readers.spool import Spool
 from pointnetkl.readers.tally import FLAGS, Tally
-from pointnetkl.survey import PINGS, POINTS, SOUNDINGS, SUBMAPS, SWATHS, Survey, SurveyError
+from pointnetkl.surveys import pose
+from pointnetkl.surveys.survey import PINGS, POINTS, SOUNDINGS, SUBMAPS, SWATHS, Survey, SurveyError
 
 Take = Callable[[pd.DataFrame], None]
 Columns = dict[str, np.ndarray]

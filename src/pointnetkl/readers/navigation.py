@@ -10,7 +10,7 @@ import pandas as pd
 from pointnetkl.readers import formats, projection, sbet
 from pointnetkl.readers.sbet import Navigation
 from pointnetkl.readers.spool import Spool
-from pointnetkl.survey import SurveyError
+from pointnetkl.surveys.survey import SurveyError
 
 _REPLACED = ["east", "north", "roll_rad", "pitch_rad", "heading_rad"]
 _WEEK_S = 604_800.0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl.survey import SurveyError
+from pointnetkl.surveys.survey import SurveyError
 
 GEOGRAPHIC = "EPSG:4326"  # positions are longitude and latitude on WGS84, in degrees
 LOCAL = "local"  # metres east and north of an unknown place

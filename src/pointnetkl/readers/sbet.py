@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pointnetkl.readers import interpolation
-from pointnetkl.readers.window import Window
-from pointnetkl.survey import SurveyError
+from pointnetkl.readers.formats import interpolation
+from pointnetkl.readers.formats.window import Window
+from pointnetkl.surveys.survey import SurveyError
 
 SUFFIXES = (".sbet", ".out")
 

@@ -11,8 +11,8 @@ import pandas as pd
 from tqdm import tqdm
 
 from pointnetkl.readers import formats
-from pointnetkl.readers.recording import PING_COLUMNS, Problems, Recording
-from pointnetkl.survey import POINTS, SurveyError
+from pointnetkl.readers.formats.recording import PING_COLUMNS, Problems, Recording
+from pointnetkl.surveys.survey import POINTS, SurveyError
 
 # a, b, c: metres along, across and down; of a file of points: east, north and up
 SOUNDING = np.dtype([("beam", "<i4"), ("a", "<f8"), ("b", "<f8"), ("c", "<f8"), ("quality", "i1")])

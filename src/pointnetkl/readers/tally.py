@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pointnetkl.readers.arrangement import DEEPEST_M
-from pointnetkl.readers.recording import IMPOSSIBLE, OUTLIER
+from pointnetkl.readers.formats.recording import IMPOSSIBLE, OUTLIER
 
 FLAGS = ("rejected", "impossible", "outliers")  # why soundings are kept but not good, as counted in a report
 

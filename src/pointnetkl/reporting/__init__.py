@@ -1,1 +1,1 @@
-"""The report: numbers, tables, figures and words, from every stage's artifacts."""
+"""The report: numbers, tables, figures and words from every stage's artifacts."""

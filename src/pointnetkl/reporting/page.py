@@ -5,8 +5,8 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pointnetkl import text_table
-from pointnetkl.text_table import Block
+from pointnetkl.reporting import text_table
+from pointnetkl.reporting.text_table import Block
 
 _STYLE = """
 :root { color-scheme: light; }

@@ -8,35 +8,32 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import artifacts, simulation, terrain, text_table, voxel
-from pointnetkl.reporting import (
-    calibration_plots,
-    cases,
-    class_tables,
-    cleaning_tables,
-    closure_tables,
-    closures,
-    figures,
-    label_study,
-    label_tables,
-    map_tables,
-    page,
-    plots,
-    results,
-    robustness,
-    robustness_plots,
-    slam_figures,
-    slam_summary,
-    slam_tables,
-    story,
-    summary,
-    tables,
-)
-from pointnetkl.reporting.closures import Closures
+from pointnetkl import simulation
+from pointnetkl.reporting import page, results, tables, terrain, text_table
+from pointnetkl.reporting import words as story
+from pointnetkl.reporting.closures import figures as calibration_plots
+from pointnetkl.reporting.closures import numbers as closures
+from pointnetkl.reporting.closures import tables as closure_tables
+from pointnetkl.reporting.closures.numbers import Closures
+from pointnetkl.reporting.covariances import cases, figures
+from pointnetkl.reporting.covariances import numbers as summary
+from pointnetkl.reporting.covariances import tables as class_tables
+from pointnetkl.reporting.covariances.numbers import Settings
+from pointnetkl.reporting.drawing import plots
+from pointnetkl.reporting.labels import numbers as label_study
+from pointnetkl.reporting.labels import tables as label_tables
 from pointnetkl.reporting.results import Folders, Labels, Test
-from pointnetkl.reporting.summary import Settings
-from pointnetkl.study import Study
-from pointnetkl.text_table import Block
+from pointnetkl.reporting.robustness import figures as robustness_plots
+from pointnetkl.reporting.robustness import numbers as robustness
+from pointnetkl.reporting.slam import figures as slam_figures
+from pointnetkl.reporting.slam import map_tables
+from pointnetkl.reporting.slam import numbers as slam_summary
+from pointnetkl.reporting.slam import tables as slam_tables
+from pointnetkl.reporting.surveys import tables as cleaning_tables
+from pointnetkl.reporting.text_table import Block
+from pointnetkl.surveys import voxel
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.study import Study
 
 _IN_WORDS = (
     *("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise"),

@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pointnetkl import artifacts, submap, survey
-from pointnetkl.consistency import map_frame
-from pointnetkl.covariance import table
-from pointnetkl.errors import PointNetKLError
-from pointnetkl.study import Study
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.consistency import map_frame
+from pointnetkl.surveys import submap, survey
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.errors import PointNetKLError
+from pointnetkl.workflow.study import Study
 
 _COVARIANCE = [(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")]
 _WENT = [  # how a label's registrations went

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pointnetkl import metrics, paper
-from pointnetkl.reporting.summary import GOLD
-from pointnetkl.text_table import Block, block
+from pointnetkl.registration.covariance import metrics
+from pointnetkl.reporting import paper
+from pointnetkl.reporting.covariances.numbers import GOLD
+from pointnetkl.reporting.text_table import Block, block
 
 Numbers = Mapping[str, Any]
 _SIZES = ("area_km2", "submaps", "sigma_z")

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, signal
 
-from pointnetkl import raster
-from pointnetkl.raster import GridError
-from pointnetkl.simulation import noise
+from pointnetkl.simulation import depth_grid, noise
+from pointnetkl.simulation.depth_grid import GridError
 
 _MOST_CELLS = 1 << 24  # that are read: of more, those about the middle of the survey
 
@@ -97,13 +96,13 @@ def read(
         GridError: the file is neither, or is not a north-up grid in a projected CRS in metres; or it is too large, and
             there is no centre.
     """
-    with raster.opened(path) as dataset:
+    with depth_grid.opened(path) as dataset:
         _check(path, dataset)
         window = _window(path, dataset, centre)
-        z = raster.heights(path, dataset, window)
+        z = depth_grid.heights(path, dataset, window)
         transform = dataset.transform if window is None else dataset.window_transform(window)
-        crs, valid = raster.crs_name(dataset), np.isfinite(z)
-        down, _ = raster.sense(dataset, int(np.sum(z < 0)), int(np.sum(valid)))
+        crs, valid = depth_grid.crs_name(dataset), np.isfinite(z)
+        down, _ = depth_grid.sense(dataset, int(np.sum(z < 0)), int(np.sum(valid)))
     if valid.mean() < 1e-6 or min(z.shape) < 4:
         raise GridError(f"{path}: has no depths")
     if down:
@@ -122,7 +121,7 @@ def read(
 
 
 def _check(path: Path, dataset: Any) -> None:
-    crs, transform = raster.level_crs(dataset), dataset.transform
+    crs, transform = depth_grid.level_crs(dataset), dataset.transform
     if crs is None or not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
         told = crs.name if crs else None
         raise GridError(f"{path}: its CRS is {told}, must be projected, in metres; reproject it, for example to UTM")
@@ -130,7 +129,7 @@ def _check(path: Path, dataset: Any) -> None:
         raise GridError(f"{path}: is rotated; resample it to a north-up grid")
     if not (np.isfinite(transform[:6]).all() and 0 < abs(transform.a) < 1e5 and 0 < abs(transform.e) < 1e5):
         raise GridError(f"{path}: its cells of {transform.a:.6g} by {transform.e:.6g} m are none; its head is damaged")
-    if raster.is_variable(dataset):
+    if depth_grid.is_variable(dataset):
         raise GridError(
             f"{path}: is a BAG of variable resolution, whose own cells are only an index; resample it to one"
             " resolution, for example by gdal_translate -oo MODE=RESAMPLED_GRID"

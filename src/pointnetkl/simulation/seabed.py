@@ -10,8 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from pointnetkl import settings
 from pointnetkl.simulation import noise
+from pointnetkl.workflow import settings
 
 
 class Seabed(Protocol):

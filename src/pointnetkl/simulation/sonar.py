@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl import settings
-from pointnetkl.errors import PointNetKLError
 from pointnetkl.simulation.seabed import Seabed
+from pointnetkl.workflow import settings
+from pointnetkl.workflow.errors import PointNetKLError
 
 _ITERATIONS = 10
 _HIT_M = 0.01  # a beam has hit when it ends this near to the seabed

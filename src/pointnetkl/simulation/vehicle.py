@@ -6,10 +6,10 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from pointnetkl import settings
-from pointnetkl.errors import PointNetKLError
 from pointnetkl.simulation import sonar
 from pointnetkl.simulation.seabed import Seabed
+from pointnetkl.workflow import settings
+from pointnetkl.workflow.errors import PointNetKLError
 
 EPOCH_S = 1_600_000_000.0  # when every simulated survey starts: no clock is read
 

@@ -1,1 +1,1 @@
-"""Pose graphs of submaps: their construction (Algorithm 1), the benchmark of Table IV, and what it rests on."""
+"""The SLAM benchmark: pose graphs, loop closures, errors."""

@@ -1,0 +1,1 @@
+"""The authors' published arrays: read without trusting them, as tables."""

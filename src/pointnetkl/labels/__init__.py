@@ -1,0 +1,1 @@
+"""Monte Carlo labels of whole surveys: kept as they are made, checked, and varied."""

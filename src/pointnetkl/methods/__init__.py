@@ -1,0 +1,1 @@
+"""Every method that answers with a covariance of a registration."""

@@ -1,0 +1,1 @@
+"""Covariances from one submap and a formula; nothing is learned."""

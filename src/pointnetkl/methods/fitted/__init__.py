@@ -1,0 +1,1 @@
+"""Covariances by a few numbers that were fitted to training labels."""

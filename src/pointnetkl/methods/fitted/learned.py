@@ -1,0 +1,123 @@
+"""The methods that learn a few numbers from training labels: a new one joins by a line in LEARNERS."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
+from pointnetkl.methods.fitted import calibrated, cello, constant, fitting, structure_tensor
+from pointnetkl.registration.covariance.method import Method
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.settings import require_seed
+
+
+class Learner(Protocol):
+    """What a module must offer to be learned: its numbers' names, the fit, and the method of a fit."""
+
+    def names(self, dimensions: int) -> tuple[str, ...]:
+        """Return the names of the numbers, for covariances (M, M)."""
+
+    def fit(self, training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
+        """Return what has the least mean KL to the training labels."""
+
+    def from_fit(self, name: str, fit: fitting.Fit, how: SelfRegistration) -> Method:
+        """Return the method of a fit."""
+
+
+LEARNERS: dict[str, Learner] = {
+    "constant_train": constant,
+    "hessian_calibrated": calibrated.HESSIAN,
+    "censi_calibrated": calibrated.CENSI,
+    "structure_tensor": structure_tensor,
+    "cello": cello,
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `predict` of the parameters."""
+
+    seed: int  # of the noisy copies that closed forms look at
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require_seed(self.seed)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """What every method learned, from how many submaps."""
+
+    fits: dict[str, fitting.Fit]
+    submaps: int
+
+
+def fit(training: fitting.Training, settings: fitting.Settings) -> Fits:
+    """Return every method's fit to the training labels."""
+    fits = {name: learner.fit(training, settings) for name, learner in LEARNERS.items()}
+    return Fits(fits, len(training.submaps))
+
+
+def methods(fits: Fits, how: SelfRegistration) -> list[Method]:
+    """Return the methods that the fits define."""
+    return [learner.from_fit(name, fits.fits[name], how) for name, learner in LEARNERS.items()]
+
+
+def write(path: Path, fits: Fits, parameters: Mapping[str, Any]) -> None:
+    """Write fits as JSON, with the parameters that made them; a line for each row that a method remembers."""
+    entries = {name: _entry(each) for name, each in fits.fits.items()}
+    artifacts.write_json(path, {**entries, "submaps": fits.submaps, "params": parameters})
+
+
+def read(path: Path, dimensions: int) -> Fits:
+    """Read fits of covariances (M, M).
+
+    Raises:
+        ArtifactError: the file is missing or is not JSON.
+        FittingError: the fits are of another registration.dof; or a method or one of its numbers is missing, or is
+            not a finite number.
+    """
+    content = artifacts.read_json(path)
+    _check_dof(path, content.get("params"), "xyyaw" if dimensions == 3 else "xy")
+    fits = {name: _read_fit(path, name, content, dimensions) for name in LEARNERS}
+    if not isinstance(submaps := content.get("submaps"), int):
+        raise fitting.FittingError(f"{path}: lacks the number of submaps; run dvc repro fit")
+    return Fits(fits, submaps)
+
+
+def _entry(fit: fitting.Fit) -> dict[str, Any]:
+    rows = [" ".join(f"{number:.6g}" for number in row) for row in fit.rows]
+    return {**fit.numbers, "mean_kl": fit.mean_kl} | ({"rows": rows} if rows else {})
+
+
+def _check_dof(path: Path, parameters: Any, wanted: str) -> None:
+    registration = parameters.get("registration") if isinstance(parameters, dict) else None
+    fitted = registration.get("dof", wanted) if isinstance(registration, dict) else wanted
+    if fitted != wanted:
+        raise fitting.FittingError(
+            f"{path}: its fits are of registration.dof {fitted}, and the parameters have {wanted}; run dvc repro fit"
+        )
+
+
+def _read_fit(path: Path, name: str, content: Mapping[str, Any], dimensions: int) -> fitting.Fit:
+    entry = content.get(name)
+    if not isinstance(entry, dict):
+        raise fitting.FittingError(f"{path}: has no fit of {name}; run dvc repro fit")
+    names = LEARNERS[name].names(dimensions)
+    for key in (*names, "mean_kl"):
+        if not (isinstance(value := entry.get(key), int | float) and math.isfinite(value)):
+            raise fitting.FittingError(f"{path}: {name}.{key} is {value!r}, must be a number; run dvc repro fit")
+    numbers = {key: float(entry[key]) for key in names}
+    return fitting.Fit(numbers, float(entry["mean_kl"]), _read_rows(path, name, entry.get("rows", [])))
+
+
+def _read_rows(path: Path, name: str, lines: Any) -> tuple[tuple[float, ...], ...]:
+    try:
+        rows = tuple(tuple(map(float, line.split())) for line in lines)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise fitting.FittingError(f"{path}: {name}.rows has a line without numbers; run dvc repro fit") from error
+    if len({len(row) for row in rows}) > 1 or not all(math.isfinite(number) for row in rows for number in row):
+        raise fitting.FittingError(f"{path}: {name}.rows has a line with a gap; run dvc repro fit")
+    return rows

@@ -1,0 +1,1 @@
+"""Trained models: what they compute, and the file that holds them."""

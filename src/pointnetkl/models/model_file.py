@@ -1,0 +1,128 @@
+"""A trained model as a file: for this package (.pt), and for any program that runs ONNX."""
+
+import io
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pointnetkl.models import mean_field_network
+from pointnetkl.models import pointnetkl as network
+from pointnetkl.models.model import Covariance, Model
+from pointnetkl.models.novelty import Known
+from pointnetkl.workflow import settings
+from pointnetkl.workflow.errors import PointNetKLError
+
+# The settings and the class of each kind of model, by the name that stands in section `models` of the parameters.
+KINDS: dict[str, tuple[type[Any], Callable[[Any], Model]]] = {
+    "pointnetkl": (network.Settings, network.PointNetKL),
+    "mean_field": (mean_field_network.Settings, mean_field_network.MeanFieldNetwork),
+}
+
+
+class ModelFileError(PointNetKLError):
+    """A model's file is missing, damaged or not one."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a model's file holds."""
+
+    kind: str  # of KINDS
+    model: Model  # in evaluation mode, on the CPU
+    voxel: float  # edge of the voxels of the clouds it knows, as a share of the unit sphere's radius
+    metadata: dict[str, Any]  # the parameters that made it
+    known: Known | None = None  # the submaps that it was trained on, where that was kept
+
+
+def kind(name: str) -> tuple[type[Any], Callable[[Any], Model]]:
+    """Return the settings and the class of a kind of model.
+
+    Raises:
+        ModelFileError: there is no such kind.
+    """
+    if name not in KINDS:
+        raise ModelFileError(f"{name}: is no kind of model; there are {', '.join(KINDS)}")
+    return KINDS[name]
+
+
+def to_bytes(name: str, model: Model, voxel: float, metadata: Mapping[str, Any], known: Known | None = None) -> bytes:
+    """Return a file's content, of a model of the kind `name`: weights, settings, the parameters that made them.
+
+    They are plain values and tensors: reading them executes nothing.
+    """
+    content = {
+        "kind": name,
+        "network": settings.as_metadata(model.settings),
+        "voxel": voxel,
+        "metadata": dict(metadata),
+        "weights": {key: tensor.cpu() for key, tensor in model.state_dict().items()},
+        "known": None if known is None else _plain(known),
+    }
+    buffer = io.BytesIO()  # a file's name would get into its bytes
+    torch.save(content, buffer)
+    return buffer.getvalue()
+
+
+def read(path: Path) -> Stored:
+    """Read a model; nothing in the file is executed.
+
+    Raises:
+        ModelFileError: the file is missing, damaged or holds something else.
+    """
+    try:
+        stored = path.read_bytes()
+        if bad := zipfile.ZipFile(io.BytesIO(stored)).testzip():  # torch does not ask for the checksums it wrote
+            raise ValueError(f"{bad} has a wrong checksum")
+        content = torch.load(io.BytesIO(stored), map_location="cpu", weights_only=True)
+        chosen, make = kind(content["kind"])
+        model = make(chosen(**content["network"]))
+        model.load_state_dict(content["weights"])
+        known = _known(content.get("known"))
+        return Stored(content["kind"], model.eval(), float(content["voxel"]), dict(content["metadata"]), known)
+    except FileNotFoundError as error:
+        raise ModelFileError(f"{path}: is missing; run dvc repro train@{path.stem}") from error
+    except Exception as error:  # zip, pickle and torch each fail in their own ways on damaged bytes
+        reason = " ".join(str(error).split())[:120]
+        raise ModelFileError(
+            f"{path}: is damaged or no model of ours ({reason}); run dvc repro train@{path.stem}"
+        ) from error
+
+
+def to_onnx(model: Model) -> bytes:
+    """Return the model as ONNX: its inputs, by their names, to covariance (clouds, M, M).
+
+    For a PointNetKL those are points (clouds, points, 3) and radius (clouds,).
+    """
+    wrapped = Covariance(model.cpu()).eval()
+    example = model.example()
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(), torch.no_grad():
+        # the newer exporter needs another package, and for these networks gives nothing more
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            wrapped,
+            tuple(each.value for each in example.values()),
+            buffer,  # type: ignore[arg-type]  # a buffer is taken where dynamo is false
+            dynamo=False,
+            input_names=list(example),
+            output_names=["covariance"],
+            dynamic_axes={name: each.free for name, each in example.items()} | {"covariance": {0: "clouds"}},
+        )
+    return buffer.getvalue()
+
+
+def _plain(known: Known) -> dict[str, Any]:
+    arrays = {name: torch.from_numpy(getattr(known, name)) for name in ("centre", "whitening")}
+    return {**arrays, "limit": known.limit}
+
+
+def _known(stored: dict[str, Any] | None) -> Known | None:
+    if stored is None:
+        return None
+    return Known(np.asarray(stored["centre"]), np.asarray(stored["whitening"]), float(stored["limit"]))

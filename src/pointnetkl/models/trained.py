@@ -1,0 +1,98 @@
+"""The covariance that a trained model predicts from the submap alone: PointNetKL, the paper's method, and `network`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from pointnetkl.models import model, model_file
+from pointnetkl.models.model_file import Stored
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.surveys import voxel
+from pointnetkl.surveys.submap import Submap
+from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow.errors import PointNetKLError
+
+_DECIDE_LABELS = ("copy", "noise_sigma_m", "prior_variance_m2")  # of section `label`: another value, another Q
+
+
+class TrainedError(PointNetKLError):
+    """A model was trained for another Q than is asked for."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained model, by the name that its file has."""
+
+    name: str
+    stored: Stored
+
+    def covariance(self, submap: Submap) -> np.ndarray:
+        """Return Q, (M, M) in m^2 and radians, in the submap's frame.
+
+        Raises:
+            VoxelError, MeanFieldError: the submap has no extent, or a coordinate that is not a number.
+        """
+        origin = f"{submap.survey}, submap {submap.number}"
+        return model.predict(self.stored.model, inputs(self.stored, submap.points, origin))[0]
+
+
+def inputs(stored: Stored, points: np.ndarray, origin: str) -> tuple[np.ndarray, ...]:
+    """Return what a stored model takes of one submap's points (n, 3), metres: every preprocessing step.
+
+    Raises:
+        VoxelError, MeanFieldError: as Trained.covariance; VoxelError begins with `origin`.
+    """
+    if describe := stored.model.describe:
+        return (describe(points)[None],)
+    cloud = voxel.canonical(points, stored.voxel, origin)
+    return cloud.points[None], np.array([cloud.radius], np.float32)
+
+
+def check(path: Path, stored: Stored, label: monte_carlo.Settings, registration: gicp.Settings) -> None:
+    """Refuse a file's model that learned another Q than these settings have, as far as its file says.
+
+    Raises:
+        TrainedError: it has other dimensions, or its labels were made with other settings.
+    """
+    if stored.model.settings.dimensions != registration.dimensions:
+        learned = "xyyaw" if stored.model.settings.dimensions == 3 else "xy"
+        raise TrainedError(
+            f"{path}: was trained for registration.dof {learned}, and the parameters have {registration.dof};"
+            f" run dvc repro train@{path.stem}"
+        )
+    sections = {"label": settings.as_metadata(label), "registration": settings.as_metadata(registration)}
+    for section, now in sections.items():
+        then = stored.metadata.get(section, {})
+        for key in _DECIDE_LABELS if section == "label" else now:
+            if key in then and then[key] != now[key]:
+                raise TrainedError(
+                    f"{path}: was trained with {section}.{key} {then[key]}, and the parameters have {now[key]};"
+                    f" run dvc repro train@{path.stem}"
+                )
+
+
+def load_all(paths: Sequence[Path], label: monte_carlo.Settings, registration: gicp.Settings) -> list[Trained]:
+    """Read trained models, of which data/none is none, for the Q of these settings.
+
+    Raises:
+        ModelFileError, TrainedError: as load and check.
+    """
+    given = [path for path in paths if not (path.is_file() and artifacts.is_none(path))]
+    models = [load(path) for path in given]
+    for path, each in zip(given, models, strict=True):
+        check(path, each.stored, label, registration)
+    return models
+
+
+def load(path: Path) -> Trained:
+    """Read a trained model, and give torch one thread: submaps run in parallel, and sums keep their order.
+
+    Raises:
+        ModelFileError: the file is missing, damaged or holds something else.
+    """
+    stored = model_file.read(path)
+    torch.set_num_threads(1)
+    return Trained(path.stem, stored)

@@ -1,0 +1,58 @@
+"""Files of one record a line, as g2o and TUM have them: numbered lines, and numbers that are what they look like."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from pointnetkl.workflow.errors import PointNetKLError
+
+
+def read(path: Path, error: type[PointNetKLError]) -> list[tuple[int, list[str]]]:
+    """Return the number, from 1, and the words of each line that has any; comments, which begin with #, are left in.
+
+    Raises:
+        PointNetKLError: as `error`; the file cannot be read, or is no text.
+    """
+    try:
+        text = path.read_bytes().decode("ascii", "surrogateescape")
+    except OSError as cause:
+        raise error(f"{path}: cannot be read ({cause.strerror})") from cause
+    lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
+    if odd := [number for number, words in lines if words and not "".join(words).isascii() and words[0][0] != "#"]:
+        raise error(f"{path}: line {odd[0]}: it is no text of numbers; the file is damaged or of another form")
+    return [(number, words) for number, words in lines if words]
+
+
+def numbers(words: Sequence[str]) -> list[float]:
+    """Return finite numbers.
+
+    Raises:
+        ValueError: a word is none.
+    """
+    for word in words:
+        if "_" in word or not _is_finite(word):  # Python takes 1_0 for 10; no other program writes that
+            raise ValueError(f"{shown(word)} is not a finite number")
+    return [float(word) for word in words]
+
+
+def whole(word: str) -> int:
+    """Return a whole number from 0 that 63 bits hold.
+
+    Raises:
+        ValueError: the word is none.
+    """
+    if not (word.isdecimal() and len(word) < 19):
+        raise ValueError(f"{shown(word)} is not a whole number from 0")
+    return int(word)
+
+
+def shown(word: str) -> str:
+    """Return a word as an error may show it: the beginning, with odd characters spelt out."""
+    return ascii(word[:30])
+
+
+def _is_finite(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

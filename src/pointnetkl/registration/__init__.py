@@ -1,0 +1,1 @@
+"""Registration of submaps by GICP, and its covariance by Monte Carlo."""

@@ -1,0 +1,1 @@
+"""Covariances as numbers: Gaussians, tables of labels and of estimates."""

@@ -1,0 +1,1 @@
+"""The report on the errors of loop closures."""

@@ -1,0 +1,64 @@
+"""Tables of how covariances describe loop closures: by method, and by survey what the loop closures are like."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pointnetkl.reporting.tables import COVERAGES
+from pointnetkl.reporting.text_table import Block, block
+
+Numbers = Mapping[str, Any]
+
+
+def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
+    """Return the tables by the stem of their files; `numbers` as the report has them."""
+    lc, held_out, sizes = (numbers[name] for name in ("calibration_lc", "calibration", "closures"))
+    surveys = [_by_survey(sizes, datasets), _by_hold(numbers["closures_by_hold"]), _ratios(numbers["closure_ratios"])]
+    return {"calibration_lc": [_by_method(lc, held_out, sizes, datasets), *surveys]}
+
+
+def _by_method(lc: Numbers, held_out: Numbers, sizes: Numbers, datasets: Numbers) -> Block:
+    rows = [
+        {
+            "survey": survey,
+            "simulated": datasets[survey]["simulated"],
+            "against": sizes[survey]["against"],
+            "method": method,
+            **{f"held_out_{key}": held_out[survey].get(method, {}).get(key) for key in ("nees", "coverage_95")},
+            **values,
+        }
+        for survey, methods in lc.items()
+        for method, values in methods.items()
+    ]
+    columns = ["survey", "simulated", "against", "method", "nees", "nees_median", *COVERAGES]
+    columns += ["placed_nees", "placed_nees_median", "placed_coverage_95", "held_out_nees", "held_out_coverage_95"]
+    columns += ["inflation", "placed_inflation", "coverage_95_inflated", "added_m2", "coverage_95_added"]
+    caption = "Calibration on loop closures, all draws of the graph; pair knows the truth, its placed_* are circular."
+    return block(caption, rows, columns)
+
+
+def _by_survey(sizes: Numbers, datasets: Numbers) -> Block:
+    rows = [{"survey": name, "simulated": datasets[name]["simulated"], **of} for name, of in sizes.items()]
+    columns = ["survey", "simulated", "against", "registrations", "submaps", "converged", "overlap", "patchiness"]
+    columns += ["outside", "error_m", "gt_error_m", "placed_error_m", "given_m", "heading_m"]
+    return block("The loop closures: medians, but errors, which are root mean squares in x, y.", rows, columns)
+
+
+def _by_hold(holds: Numbers) -> Block:
+    rows = [
+        {"survey": survey, "sigma_of_Q_ij": hold, **values}
+        for survey, classes in holds.items()
+        for hold, values in classes.items()
+    ]
+    columns = ["survey", "sigma_of_Q_ij", "registrations", "error_m", "placed_error_m", "given_m", "heading_m"]
+    return block("Errors and their causes by how well the common ground holds a submap, medians.", rows, columns)
+
+
+def _ratios(ratios: Numbers) -> Block:
+    rows = [
+        {"survey": survey, "Q_i": method, **values}
+        for survey, methods in ratios.items()
+        for method, values in methods.items()
+    ]
+    columns = ["survey", "Q_i", "ratio", "worst_ratio", "overlap", "patchiness", "outside"]
+    caption = "Q_ij over Q_i: medians of sqrt(tr Q_ij / tr Q_i) and in the worst direction; rank correlations of ratio."
+    return block(caption, rows, columns)

@@ -1,0 +1,203 @@
+"""The numbers of a report, `metrics.json`, from every stage's artifacts."""
+
+import zlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl.registration.covariance import metrics, table
+from pointnetkl.reporting import terrain, text_table
+from pointnetkl.reporting.labels import numbers as label_study
+from pointnetkl.reporting.results import Labels, Test
+from pointnetkl.slam.graph import footprint
+from pointnetkl.surveys import pose, survey, voxel
+
+GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
+OURS = "network"  # whom the others are compared with, pair by pair
+# m^2, of a label's larger eigenvalue: a position known to 0.1 m, to 1 m, or worse
+_SIZES = {"below 0.01": (0.0, 0.01), "0.01 to 1": (0.01, 1.0), "above 1": (1.0, np.inf)}
+
+_TABLES_ONLY = ("by_class", "by_size", "by_copy", "slam_authors", "slam_variants")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `report` of the parameters."""
+
+    seed: int  # of the bootstrap
+    kl_floor_m2: float  # added to label and estimate wherever KL is judged
+    cell_factor: float  # a footprint's cell, in point spacings: fewer and a swath has holes
+    block_submaps: int  # neighbours that the bootstrap draws together
+    terrain_classes: terrain.Settings
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Estimates of some submaps, and what they are judged by."""
+
+    labels: np.ndarray  # (k, M, M)
+    covariances: Mapping[str, np.ndarray]  # by method, each (k, M, M)
+    held_out: np.ndarray  # (k, H, M) errors that no label has seen
+
+    def of(self, which: np.ndarray) -> "Judged":
+        """Return the same for some of the submaps, by a mask or indices."""
+        return Judged(
+            self.labels[which], {name: q[which] for name, q in self.covariances.items()}, self.held_out[which]
+        )
+
+
+def simulated_from(raw: str, simulate: Mapping[str, Any]) -> str | None:
+    """Return the entry of `simulate` that a survey's raw pings come from, None if they are somebody's own."""
+    folder, name = ("", *PurePath(raw).parts)[-2:]
+    return name if folder == "raw" and name in simulate else None
+
+
+def dataset(
+    clouds: Sequence[np.ndarray],
+    poses: pd.DataFrame,
+    pings: pd.DataFrame,
+    labels: Labels,
+    canonical: voxel.Clouds,
+    cell_m: float,
+) -> dict[str, Any]:
+    """Return a survey's size and density: clouds (n_i, 3) in submap frames, poses and pings by navigation."""
+    counts = np.array([len(points) for points in clouds])
+    return {
+        "submaps": len(clouds),
+        "area_km2": area_km2(clouds, poses, cell_m),
+        "track_km": survey.track_length(pings) / 1e3 if len(pings) else None,
+        "sigma_z": voxel.sigma_z(canonical),
+        "points_mean": float(counts.mean()),
+        "points_std": float(counts.std()),
+        "spacing_m": float(np.median(labels.spacing_m)),
+    }
+
+
+def area_km2(clouds: Sequence[np.ndarray], poses: pd.DataFrame, cell_m: float) -> float:
+    """Return the area of the union of the submaps' footprints: cells of `cell_m` metres that hold a point."""
+    placed = (
+        footprint.cells(pose.transform(pose.matrix(np.array([row.x_m, row.y_m, row.z_m]), row.yaw_rad), points), cell_m)
+        for row, points in zip(poses.itertuples(), clouds, strict=True)
+    )
+    return len(np.unique(np.concatenate(list(placed)))) * cell_m**2 / 1e6
+
+
+def judged(labels: Labels, test: Test) -> Judged:
+    """Return a test survey's estimates with their labels and errors."""
+    return Judged(labels.q, test.covariances, test.held_out)
+
+
+def divergences(name: str, of: Judged, settings: Settings) -> dict[str, Any]:
+    """Return how far each method's covariances are from the labels, nats; intervals over submaps.
+
+    `network_better`: the share of the bootstrap's draws in which `network` has the lower mean; every method sees the
+    same draws.
+    """
+    floor = settings.kl_floor_m2
+    draws = metrics.resamples(len(of.labels), rng(settings, name), settings.block_submaps)
+    found = {method: metrics.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
+    if OURS in found and len(of.labels) >= metrics.FEWEST:
+        each = {method: metrics.divergence(of.labels, of.covariances[method], floor) for method in found}
+        for method in found.keys() - {OURS}:
+            found[method]["network_better"] = metrics.share_better(each[OURS], each[method], draws)
+    return found
+
+
+def calibrations(of: Judged) -> dict[str, Any]:
+    """Return how well each method's covariances describe the errors that no label has seen, if there are any."""
+    if of.held_out.size == 0:
+        return {}
+    every = {GOLD: of.labels, **of.covariances}
+    return {method: metrics.calibration(of.held_out, q) for method, q in every.items()}
+
+
+def by_class(
+    name: str, of: Judged, classes: np.ndarray, trained: Collection[str], settings: Settings
+) -> dict[str, Any]:
+    """Return both for the submaps of each terrain class (k,), and whether a training submap is of that class."""
+    present = [each for each in terrain.CLASSES if np.any(classes == each)]
+    parts = {each: of.of(classes == each) for each in present}
+    return {
+        each: {
+            "submaps": len(part.labels),
+            "in_training": each in trained,
+            "kl": divergences(f"{name}.{each}", part, settings),
+            "calibration": calibrations(part),
+        }
+        for each, part in parts.items()
+    }
+
+
+def by_size(of: Judged, settings: Settings) -> dict[str, Any]:
+    """Return each method's mean KL, with the floor and without, by the larger eigenvalue of the label in x, y."""
+    larger = np.linalg.eigvalsh(of.labels[:, :2, :2])[:, -1]
+    parts = {size: of.of((larger >= low) & (larger < high)) for size, (low, high) in _SIZES.items()}
+    return {
+        size: {"submaps": len(part.labels), "kl": _means(part.labels, _rivals(part), settings.kl_floor_m2)}
+        for size, part in parts.items()
+        if len(part.labels)
+    }
+
+
+def by_copy(name: str, labels: Labels, test: Test, variations: pd.DataFrame, settings: Settings) -> dict[str, Any]:
+    """Return each method's mean KL to labels of both copies, on the submaps that have both.
+
+    `variations` has the schema results.VARIATIONS; its labels under the survey's own spacing and noise count.
+    """
+    varied = variations[variations["survey"] == name]
+    usual = varied[varied["study"] == label_study.RUNS]
+    rows = varied[varied["study"] == label_study.CONDITIONS]
+    for condition in ("noise_sigma_m", "cell_m"):
+        rows = rows[rows[condition].isin(usual[condition])]
+    found = {}
+    for copy, of in rows.groupby("copy"):
+        which = np.searchsorted(labels.submap, of["submap"])
+        q = {method: each[which] for method, each in test.covariances.items()}
+        means = _means(table.to_matrices(of), q, settings.kl_floor_m2)
+        found[str(copy)] = {"submaps": len(of), "kl": means}
+    return found
+
+
+def published(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers as metrics.json has them: of the terrain classes, only what decides between methods."""
+    kept = {key: value for key, value in numbers.items() if key not in _TABLES_ONLY}
+    for kind, wanted in (("kl", ("mean",)), ("calibration", ("nees", "coverage_95"))):
+        kept[f"{kind}_by_class"] = {
+            name: {each: _short(of[kind], wanted, of["submaps"]) for each, of in classes.items()}
+            for name, classes in numbers["by_class"].items()
+        }
+    return kept
+
+
+def known(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested numbers rounded to 4 digits, without those that are not known."""
+    rounded = {key: text_table.rounded(value) for key, value in numbers.items()}
+    kept = {key: known(value) if isinstance(value, dict) else value for key, value in rounded.items()}
+    return {key: value for key, value in kept.items() if value is not None and value != {}}
+
+
+def _rivals(of: Judged) -> dict[str, np.ndarray]:
+    return {method: q for method, q in of.covariances.items() if method != GOLD}
+
+
+def _means(labels: np.ndarray, covariances: Mapping[str, np.ndarray], floor: float) -> dict[str, dict[str, float]]:
+    return {
+        method: {
+            "mean": float(metrics.divergence(labels, q, floor).mean()),
+            "mean_floor0": float(metrics.divergence(labels, q, 0.0).mean()),
+        }
+        for method, q in covariances.items()
+    }
+
+
+def _short(methods: Mapping[str, Any], wanted: Sequence[str], submaps: int) -> dict[str, Any]:
+    return {name: {**{key: of[key] for key in wanted}, "submaps": submaps} for name, of in methods.items()}
+
+
+def rng(settings: Settings, *names: str) -> np.random.Generator:
+    """Return a generator for these names, so that an interval does not change when another method or survey joins."""
+    return np.random.default_rng([settings.seed, *(zlib.crc32(name.encode()) for name in names)])

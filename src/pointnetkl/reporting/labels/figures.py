@@ -1,0 +1,130 @@
+"""Figures of what a label depends on: its number of runs, the spacing of the points, the noise of the copy."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from numpy.typing import ArrayLike
+
+from pointnetkl.reporting import paper, text_table
+from pointnetkl.reporting.drawing import plots
+from pointnetkl.reporting.labels import numbers as label_study
+
+_COPIES = ("same", "split")
+_COLOURS = {"smaller": plots.BLUE, "larger": plots.ORANGE}
+_SURVEYS = (plots.BLUE, plots.ORANGE, plots.PURPLE, plots.GREEN)
+_LOWEST_M2 = 1e-7  # of an axis: a registration that stops at steps of 1 mm knows no less
+
+
+def cost_accuracy(accuracy: pd.DataFrame, seconds: float | None) -> Figure:
+    """Draw the error of a label against its number of runs, a line for each submap, beside that of Gaussian errors.
+
+    `accuracy` is what label_study.accuracy returns; the `seconds` of one registration give a second axis.
+    """
+    figure = Figure((plots.WIDTH_IN, 4.4), layout="constrained")
+    runs = np.geomspace(10, 4000, 100)
+    curves = (
+        ("relative_error", label_study.gaussian_error(runs), "relative error of a variance"),
+        ("kl_mean", label_study.gaussian_kl(runs), "mean KL(label || label of L runs) (nats)"),
+    )
+    colours = {survey: _SURVEYS[i % len(_SURVEYS)] for i, survey in enumerate(dict.fromkeys(accuracy["survey"]))}
+    for axes, (column, theory, label) in zip(figure.subplots(1, 2), curves, strict=True):
+        for (survey, _), rows in accuracy.groupby(["survey", "submap"], sort=False):
+            axes.plot(rows["runs"], rows[column], color=colours[survey], marker=".", lw=1.2, alpha=0.8)
+        axes.plot(runs, theory, "--", color="black", lw=1.2, label="Gaussian errors", zorder=1)
+        axes.set(xscale="log", yscale="log", xlabel="L, registrations per label", ylabel=label)
+        axes.grid(alpha=0.3)
+        _ticks(axes.xaxis, sorted({3000, *accuracy["runs"]}))
+        plots.plain_log(axes, "y")
+        if seconds:
+            _seconds_axis(axes, seconds)
+    for survey, colour in colours.items():
+        axes.plot([], [], color=colour, marker=".", label=f"{paper.title(survey)}, a line for each submap")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def spacing(labels: pd.DataFrame, prior_m2: float) -> Figure:
+    """Draw both eigenvalues of labels against point spacing, a panel for each survey and kind of copy.
+
+    `labels` is what label_study.by_spacing returns.
+    """
+    figure, panels = _panels(labels, "median distance of a point to its nearest (m)")
+    spread = float(np.sqrt(prior_m2))
+    for axes, rows in panels:
+        _eigenvalues(axes, rows, "spacing_m", "cell_m")
+        axes.axvline(spread, color=plots.GREY, linestyle=":", label=f"√a = {spread:g} m, the spread of the starts")
+        axes.set_xscale("log")
+        _ticks(axes.xaxis, [0.5, 1, 2, 3, 5, 10, 20, 50])
+    _legend(figure)
+    return figure
+
+
+def noise(labels: pd.DataFrame) -> Figure:
+    """Draw both eigenvalues of labels against the noise of the copy, a panel for each survey and kind of copy.
+
+    `labels` is what label_study.by_noise returns.
+    """
+    figure, panels = _panels(labels, "standard deviation of the noise on each coordinate (m)")
+    noises = sorted(set(labels["noise_sigma_m"]))
+    smallest = min((each for each in noises if each > 0), default=1.0)
+    for axes, rows in panels:
+        _eigenvalues(axes, rows, "noise_sigma_m", "noise_sigma_m")
+        axes.set_xscale("symlog", linthresh=smallest, linscale=0.5)
+        _ticks(axes.xaxis, noises)
+    _legend(figure)
+    return figure
+
+
+def _panels(labels: pd.DataFrame, label: str) -> tuple[Figure, list[tuple[Axes, pd.DataFrame]]]:
+    """Return a figure with a row for each survey, a column for each kind of copy, and the labels of each panel."""
+    surveys = list(dict.fromkeys(labels["survey"]))
+    figure = Figure((plots.WIDTH_IN, 1.0 + 2.6 * max(1, len(surveys))), layout="constrained")
+    grid = figure.subplots(max(1, len(surveys)), len(_COPIES), squeeze=False, sharex=True, sharey=True)
+    panels = []
+    for line, survey in zip(grid, surveys, strict=False):
+        for axes, copy in zip(line, _COPIES, strict=True):
+            rows = labels[(labels["survey"] == survey) & (labels["copy"] == copy)]
+            axes.set(title=f"{paper.title(survey)}, copy: {copy}", yscale="log")
+            axes.grid(alpha=0.3)
+            panels.append((axes, rows))
+        line[0].set_ylabel("eigenvalue of the label (m²)")
+    values = labels[["smaller_m2", "larger_m2"]].to_numpy()
+    if len(values):
+        grid[0, 0].set_ylim(max(_LOWEST_M2, values.min() / 2), values.max() * 2)
+    for side, colour in _COLOURS.items():
+        grid[0, 0].plot([], [], color=colour, marker=".", label=f"{side} eigenvalue")
+    figure.supxlabel(label, fontsize="medium")
+    return figure, panels
+
+
+def _eigenvalues(axes: Axes, rows: pd.DataFrame, x: str, varied: str) -> None:
+    for side, colour in _COLOURS.items():
+        for _, of in rows.groupby("submap", sort=False):
+            ordered = of.sort_values(varied)
+            axes.plot(ordered[x], ordered[f"{side}_m2"], color=colour, marker=".", lw=1, alpha=0.6)
+
+
+def _legend(figure: Figure) -> None:
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
+
+
+def _ticks(axis: Axis, values: list[float]) -> None:
+    axis.set_major_locator(FixedLocator(values))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text_table.cell(float(value))))
+
+
+def _seconds_axis(axes: Axes, seconds: float) -> None:
+    above = axes.secondary_xaxis("top", functions=(_times(seconds), _times(1 / seconds)))
+    above.set_xlabel("seconds per label")
+    _ticks(above.xaxis, [10.0**power for power in range(-4, 4)])
+
+
+def _times(factor: float) -> Callable[[ArrayLike], ArrayLike]:
+    return lambda values: np.asarray(values) * factor

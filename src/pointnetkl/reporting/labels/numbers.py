@@ -1,0 +1,99 @@
+"""What varied labels (results.VARIATIONS) say: how sure a label is by its runs, and what spacing and noise do to it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from scipy.special import digamma
+
+from pointnetkl.registration.covariance import gaussian, table
+
+RUNS, CONDITIONS = "runs", "conditions"  # as in sensitivity, which the report need not load
+SIDES = ("smaller", "larger")
+_FEWEST = 3  # parts of one size whose spread means something
+
+
+def accuracy(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return how far labels of few runs are from those of all, by survey, submap and runs, as far as parts repeat.
+
+    `relative_error` is the root mean square, over parts and over the two axes of the label of all runs, of the error
+    of the variance along an axis, as a share of it; `kl_mean`, `kl_low`, `kl_high` are the mean and the 5 and 95 %
+    quantiles over parts of KL(label of all || label of the part), nats. All are raised to what they would be against
+    the truth: a part of L of the N runs shares those with the label of all, which takes L / N off its squared error.
+    """
+    chosen = rows[rows["study"] == RUNS].groupby(["survey", "submap"], sort=False)
+    found = [{"survey": survey, "submap": number, **each} for (survey, number), of in chosen for each in _by_runs(of)]
+    return pd.DataFrame(
+        found, columns=["survey", "submap", "runs", "parts", "relative_error", "kl_mean", "kl_low", "kl_high"]
+    )
+
+
+def gaussian_error(runs: np.ndarray) -> np.ndarray:
+    """Return the relative standard error of a variance of so many Gaussian errors of known mean."""
+    return np.asarray(np.sqrt(2 / np.asarray(runs)))
+
+
+def gaussian_kl(runs: np.ndarray, M: int = 2) -> np.ndarray:
+    """Return the expected KL(Q || Q_L), nats, of labels of L > M + 1 Gaussian errors, as Q_L has a Wishart's law."""
+    freedom = np.asarray(runs, float)
+    logarithm = sum(digamma((freedom - i) / 2) for i in range(M)) + M * np.log(2 / (freedom - 1))
+    return np.asarray(0.5 * (M * (freedom - 1) / (freedom - M - 1) - M + logarithm))
+
+
+def by_spacing(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the labels under the usual noise, whatever their spacing, with their eigenvalues."""
+    return _labels(rows, "noise_sigma_m")
+
+
+def by_noise(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the labels of the survey's own spacing, whatever their noise, with their eigenvalues."""
+    return _labels(rows, "cell_m")
+
+
+def conditions(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return all labels under varied conditions with their eigenvalues, m^2."""
+    return _with_eigenvalues(rows[rows["study"] == CONDITIONS])
+
+
+def growth(noises: np.ndarray, values: np.ndarray) -> float | None:
+    """Return the power of the noise with which values grow, from the smallest noise above 0 to the largest.
+
+    2: the noise makes them; 0: it does not matter. None with fewer than two such noises.
+    """
+    known = np.flatnonzero(noises > 0)
+    if len(known) < 2:
+        return None
+    low, high = known[np.argmin(noises[known])], known[np.argmax(noises[known])]
+    return float(np.log(values[high] / values[low]) / np.log(noises[high] / noises[low]))
+
+
+def _by_runs(of: pd.DataFrame) -> Iterator[dict[str, float]]:
+    q, runs = table.to_matrices(of)[:, :2, :2], of["runs"].to_numpy()
+    everything, whole = int(runs.max()), q[runs.argmax()]
+    axes = np.linalg.eigh(whole)[1]
+    true = np.einsum("ia,ij,ja->a", axes, whole, axes)
+    for count in np.unique(runs[runs * _FEWEST <= everything]):
+        parts = q[runs == count]
+        share = 1 - count / everything
+        wrong = np.einsum("ia,nij,ja->na", axes, parts, axes) / true - 1
+        kl = gaussian.kl_divergence(whole, parts) / share
+        yield {
+            "runs": int(count),
+            "parts": len(parts),
+            "relative_error": float(np.sqrt(np.mean(wrong**2) / share)),
+            "kl_mean": float(kl.mean()),
+            "kl_low": float(np.quantile(kl, 0.05)),
+            "kl_high": float(np.quantile(kl, 0.95)),
+        }
+
+
+def _labels(rows: pd.DataFrame, usual: str) -> pd.DataFrame:
+    # the labels that the number of runs was studied on were made under the usual conditions
+    wanted = rows[rows["study"] == RUNS].groupby("survey")[usual].first()
+    varied = rows[rows["study"] == CONDITIONS]
+    return _with_eigenvalues(varied[varied[usual] == varied["survey"].map(wanted)])
+
+
+def _with_eigenvalues(rows: pd.DataFrame) -> pd.DataFrame:
+    values = np.linalg.eigvalsh(table.to_matrices(rows)[:, :2, :2])
+    return rows.assign(**{f"{side}_m2": values[:, i] for i, side in enumerate(SIDES)}).reset_index(drop=True)

@@ -1,0 +1,78 @@
+"""Tables of how sure labels are, and of what they depend on that the paper leaves open."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl.labels import warnings
+from pointnetkl.reporting.labels import numbers as label_study
+from pointnetkl.reporting.text_table import Block, block
+
+Numbers = Mapping[str, Any]
+
+
+def quality(labels: Mapping[str, pd.DataFrame], datasets: Numbers) -> Block:
+    """Return how sure each survey's labels are and how their registrations went."""
+    rows = [
+        {"survey": name, "simulated": datasets[name]["simulated"], **warnings.quality(of)}
+        for name, of in labels.items()
+    ]
+    caption = "How sure the labels are: runs, relative standard error, mean error, shares of the runs."
+    return block(caption, rows, ["survey", "simulated", *warnings.QUALITY])
+
+
+def accuracy(found: pd.DataFrame, datasets: Numbers) -> Block:
+    """Return the error of labels by their number of runs (label_study.accuracy), over submaps, and in theory."""
+    rows = [
+        {
+            "survey": survey,
+            "simulated": datasets[survey]["simulated"],
+            "runs": int(runs),
+            "parts": int(of["parts"].sum()),
+            **_spread(of, "relative_error", "relative_error"),
+            "gaussian_error": float(label_study.gaussian_error(runs)),
+            **_spread(of, "kl_mean", "kl_nats"),
+            "gaussian_kl_nats": float(label_study.gaussian_kl(runs)),
+        }
+        for (survey, runs), of in found.groupby(["survey", "runs"], sort=False)
+    ]
+    columns = [f"{name}{which}" for name in ("relative_error", "kl_nats") for which in ("", "_max")]
+    return block(
+        "Error of a label by its number of runs: median and largest over submaps.",
+        rows,
+        ["survey", "simulated", "runs", "parts", *columns[:2], "gaussian_error", *columns[2:], "gaussian_kl_nats"],
+    )
+
+
+def noise(labels: pd.DataFrame, datasets: Numbers) -> Block:
+    """Return both eigenvalues of each submap's label (label_study.by_noise) by the noise of the copy, m^2.
+
+    `power` is that of the noise with which an eigenvalue grows.
+    """
+    noises = sorted(set(labels["noise_sigma_m"]))
+    names = [f"at_{sigma:g}_m" for sigma in noises]
+    rows = []
+    for (survey, number, copy), of in labels.groupby(["survey", "submap", "copy"], sort=False):
+        for side in label_study.SIDES:
+            values = of.set_index("noise_sigma_m")[f"{side}_m2"].reindex(noises).to_numpy()
+            who = {"survey": survey, "simulated": datasets[survey]["simulated"], "submap": int(number), "copy": copy}
+            power = label_study.growth(np.array(noises), values)
+            rows.append({**who, "eigenvalue": side, **dict(zip(names, values.tolist(), strict=True)), "power": power})
+    caption = "Eigenvalues of the label by the noise on each coordinate of the copy, m²."
+    return block(caption, rows, ["survey", "simulated", "submap", "copy", "eigenvalue", *names, "power"])
+
+
+def conditions(labels: pd.DataFrame, datasets: Numbers) -> Block:
+    """Return every label under a varied spacing or noise (label_study.conditions)."""
+    simulated = labels["survey"].map({name: each["simulated"] for name, each in datasets.items()})
+    columns = ["survey", "simulated", "submap", "copy", "noise_sigma_m", "cell_m", "spacing_m", "points", "runs"]
+    columns += ["q_xx_m2", "q_xy_m2", "q_yy_m2", "smaller_m2", "larger_m2", "relative_error"]
+    columns += ["mean_x_m", "mean_y_m", "converged_share", "main_basin_share"]
+    rows = labels.assign(simulated=simulated).to_dict("records")
+    return block("Labels by spacing and noise.", rows, columns)
+
+
+def _spread(of: pd.DataFrame, column: str, name: str) -> dict[str, float]:
+    return {name: float(of[column].median()), f"{name}_max": float(of[column].max())}

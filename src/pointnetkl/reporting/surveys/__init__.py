@@ -1,0 +1,1 @@
+"""The report on the surveys and their submaps."""

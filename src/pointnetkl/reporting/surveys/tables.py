@@ -1,0 +1,78 @@
+"""Tables of what was cleaned out of each survey before submaps were labelled: how much, and why."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from pointnetkl.reporting.text_table import Block, block
+from pointnetkl.workflow import artifacts
+
+Numbers = Mapping[str, Any]
+
+_FLAGS = ("rejected", "impossible", "outliers")
+DROPPED = {  # columns, by the words of stage segment
+    "alone": "soundings standing alone",
+    "on_turns": "pings on turns",
+    "in_ends": "pings in them",
+    "gaps": "gaps in lines",
+    "missed_m": "metres missed in gaps",
+}
+_READ = ("pings", "pings_left_out", "reordered", "soundings", "soundings_left_out", *_FLAGS, "valid")
+_CUT = (*DROPPED, "submaps", "submaps_left_out")
+_IN_WORDS = {
+    "rejected": "soundings that the sonar or its operator rejects",
+    "impossible": "soundings that are impossible",
+    "outliers": "soundings that the beams about them belie",
+    "pings in them": "pings in ends of lines",
+}
+
+
+def read(data: Path, surveys: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return what stages ingest and segment counted of each survey, from the artifacts in the folder."""
+    found = {}
+    for name in surveys:
+        pings, poses = data / f"surveys/{name}/pings.parquet", data / f"submaps/{name}_poses.parquet"
+        found[name] = {
+            "ingest": artifacts.table_metadata(pings).get("report", {}),
+            "segment": artifacts.table_metadata(poses).get("dropped", {}),
+            "pings": pq.read_metadata(pings).num_rows,
+            "submaps": pq.read_metadata(poses).num_rows,
+        }
+    return found
+
+
+def cleaning(found: Numbers, datasets: Numbers) -> list[Block]:
+    """Return a row for each survey (of `read`); then every reason for which something was left out."""
+    rows = [{"survey": n, "simulated": datasets[n]["simulated"], **_counts(of)} for n, of in found.items()]
+    reasons = [
+        {"survey": n, "simulated": datasets[n]["simulated"], "stage": stage, "left_out": why, "count": count}
+        for n, of in found.items()
+        for stage, why, count in _reasons(of)
+    ]
+    return [
+        block("Cleaning: what was read, left out or flagged, and cut.", rows, ["survey", "simulated", *_READ, *_CUT]),
+        block("Left out, by stage and reason.", reasons, ["survey", "simulated", "stage", "left_out", "count"]),
+    ]
+
+
+def _counts(of: Numbers) -> dict[str, Any]:
+    """Return a survey's row; what its artifacts do not tell is not in it."""
+    report, dropped = of["ingest"], of["segment"]
+    row = {name: report[name] for name in _READ if name in report} | dict(report.get("flagged", {}))
+    if report:
+        row["pings_left_out"] = report["pings"] - of["pings"]
+        row["soundings_left_out"] = report["soundings"] - report["valid"] - sum(report.get("flagged", {}).values())
+    row |= {column: dropped[why] for column, why in DROPPED.items() if why in dropped}
+    lost = sum(count for why, count in dropped.items() if why.startswith("submaps"))
+    return row | {"submaps": of["submaps"], "submaps_left_out": lost}
+
+
+def _reasons(of: Numbers) -> Iterator[tuple[str, str, int]]:
+    report = of["ingest"]
+    for stage, counts in (
+        ("ingest", {**report.get("skipped", {}), **report.get("flagged", {})}),
+        ("segment", of["segment"]),
+    ):
+        yield from ((stage, _IN_WORDS.get(why, why), count) for why, count in counts.items() if count)

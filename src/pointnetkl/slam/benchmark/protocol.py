@@ -1,0 +1,160 @@
+"""The SLAM benchmark's graphs: what corrupts them, and whose covariances are on their edges (Table IV).
+
+The paper's table is of one graph and many noises. Beside it stand some noises on each of some draws of the loop
+closures, and two variants of the table: the other way to count edges, and the authors' slips. See `slam_benchmark`.
+"""
+
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.slam.benchmark import authors_slips
+from pointnetkl.slam.graph import pose_graph, survey_graph
+from pointnetkl.slam.graph.pose_graph import PoseGraph
+from pointnetkl.slam.graph.survey_graph import SurveyGraph
+from pointnetkl.surveys import pose
+from pointnetkl.workflow.errors import PointNetKLError
+from pointnetkl.workflow.settings import require_positive, require_seed, require_within
+
+# A row per variant, method, draw and repetition; `navigation` has one row, all repetitions of it would be the same.
+_ERRORS = ("rmse_xyz_m", "rmse_se2_m", "rmse_4dof_m")  # as they are, and aligned in two ways: see slam_errors
+ROWS = pa.schema(
+    [
+        ("survey", pa.string()),
+        ("variant", pa.string()),  # table; shared or all, the other way to count edges; authors
+        ("method", pa.string()),
+        ("draw", pa.int32()),  # of the loop closures; 0 is the paper's graph
+        ("repetition", pa.int32()),
+        *((name, pa.float64()) for name in _ERRORS),  # against GT
+        *((f"truth_{name}", pa.float64()) for name in _ERRORS),  # against the truth; null where it is not known
+        ("truth_relative_m", pa.float64()),  # of pairs that a loop closure joins
+        ("map_to_map_m", pa.float64()),  # null in the repetitions that do not measure it
+        ("map_to_map_auvlib_m", pa.float64()),
+        ("pose_nees", pa.float64()),  # in one repetition
+    ]
+)
+# Of draw 0, repetition 0, for figures; `which` is truth, navigation, gt, corrupted or a method.
+TRAJECTORIES = pa.schema(
+    [("survey", pa.string()), ("which", pa.string()), ("submap", pa.int32())]
+    + [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "yaw_rad")]
+)
+TABLE, AUTHORS = "table", "authors"
+FEW = ("monte_carlo", "constant", "naive_gicp", "pointnetkl", "network")  # of the variants: the paper's, and our best
+Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
+
+
+class SlamError(PointNetKLError):
+    """The benchmark cannot run on these covariances."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `slam` of the parameters; refused by a ValueError where it makes no sense."""
+
+    seed: int
+    repetitions: int
+    draw_repetitions: int
+    yaw_sigma_rad: float
+    edges: str
+    floor_m2: float
+    map_to_map_repetitions: int
+    map_cell_m: float
+    map_thinning: int
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of their range, and another way to count edges than there is."""
+        require_seed(self.seed)
+        require_positive(self, "repetitions", "draw_repetitions", "map_thinning")
+        require_within(self, 0.1, 1e4, "map_cell_m")
+        require_within(self, 0.0, 1e4, "floor_m2")
+        if self.draw_repetitions > self.repetitions:
+            raise ValueError(f"draw_repetitions is {self.draw_repetitions}, must be at most repetitions")
+        if self.edges not in ("all", "shared"):
+            raise ValueError(f"edges is {self.edges!r}, must be all or shared")
+        for name in ("yaw_sigma_rad", "map_to_map_repetitions"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+
+
+class Variant(NamedTuple):
+    """One way to run the benchmark, and on which methods."""
+
+    name: str
+    edges: str  # all or shared
+    methods: Sequence[str]
+
+    def repetitions(self, draw: int, settings: Settings) -> int:
+        """Return how many noises a draw of the loop closures gets."""
+        return settings.repetitions if draw == 0 and self.name in (TABLE, AUTHORS) else settings.draw_repetitions
+
+
+def variants(methods: Iterable[str], settings: Settings) -> list[Variant]:
+    """Return the table, with all methods, and its variants, with a few of them."""
+    every = list(methods)
+    few = [name for name in FEW if name in every]
+    other = "shared" if settings.edges == "all" else "all"
+    return [Variant(TABLE, settings.edges, every), Variant(other, other, few), Variant(AUTHORS, settings.edges, few)]
+
+
+def corrupt(graph: SurveyGraph, draw: int, repetition: int, settings: Settings) -> np.ndarray:
+    """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever the method."""
+    seed = [settings.seed, zlib.crc32(graph.survey.encode()), draw, repetition]
+    return with_noise(graph, np.random.default_rng(seed), settings.yaw_sigma_rad)
+
+
+def with_noise(graph: SurveyGraph, rng: np.random.Generator, yaw_sigma_rad: float) -> np.ndarray:
+    """Return dead reckoning (n - 1, 4, 4) with Gaussian noise on each edge's yaw."""
+    exact = pose_graph.between(graph.gt)
+    turns = [pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0.0, yaw_sigma_rad, len(exact))]
+    return exact @ np.array(turns).reshape(-1, 4, 4)
+
+
+def by_method(covariances: pd.DataFrame, floor: float = 0.0) -> dict[str, dict[int, np.ndarray]]:
+    """Return Q (M, M) by method and submap, of covariance tables joined; methods in their order there.
+
+    `floor`, m^2, is added to each (gaussian.with_floor).
+
+    Raises:
+        CovarianceError: a Q is not a covariance.
+        SlamError: there are two for one submap and method.
+    """
+    twice = covariances.duplicated(["method", "submap"])
+    if twice.any():
+        row = covariances[twice].iloc[0]
+        raise SlamError(f"{row['method']} has two covariances for submap {row['submap']}; rename one of the methods")
+    found: dict[str, dict[int, np.ndarray]] = {}
+    rows = covariances[["method", "submap"]].itertuples(index=False)
+    for (method, number), q in zip(rows, table.to_matrices(covariances), strict=True):
+        checked = gaussian.check(q, f"submap {number}, {method}")
+        found.setdefault(method, {})[int(number)] = gaussian.with_floor(checked, floor)
+    return found
+
+
+def pose_graphs(graph: SurveyGraph, methods: Methods, variant: Variant, draw: int = 0) -> dict[str, PoseGraph]:
+    """Return each method's factors that no repetition changes: the held first node and a draw's loop closures."""
+    closures, noise = graph.draws[draw], graph.closure_noise
+    made = {}
+    for name in variant.methods:
+        edges, origin = closures.edges, f"{graph.survey}, {name}"
+        full = survey_graph.full_covariances(graph.number, methods[name], closures, noise, origin, variant.edges)
+        if variant.name == AUTHORS:
+            edges, full = authors_slips.closures(edges, full)
+        made[name] = PoseGraph(graph.gt[0], edges, full)
+    return made
+
+
+def clouds_of(graph: SurveyGraph, clouds: Mapping[int, np.ndarray]) -> Sequence[np.ndarray]:
+    """Return the nodes' clouds, by submap number, in the nodes' order.
+
+    Raises:
+        SlamError: a node's submap has no cloud.
+    """
+    if missing := [int(number) for number in graph.number if int(number) not in clouds]:
+        raise SlamError(f"{graph.survey}: submap {missing[0]} of the graph has no points; run dvc repro")
+    return [clouds[int(number)] for number in graph.number]

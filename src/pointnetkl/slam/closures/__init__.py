@@ -1,0 +1,1 @@
+"""Loop closures: found, registered, and their errors measured."""

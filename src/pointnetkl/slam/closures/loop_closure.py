@@ -1,0 +1,250 @@
+"""Loop closures of a survey by registration: the front end of Algorithm 1 of the paper."""
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pointnetkl.registration import gicp
+from pointnetkl.slam.graph import footprint
+from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
+from pointnetkl.slam.graph.survey_graph import Closures
+from pointnetkl.surveys import pose
+from pointnetkl.surveys.submap import Submap
+from pointnetkl.workflow.errors import PointNetKLError
+from pointnetkl.workflow.settings import require_positive, require_seed, require_within
+
+
+class LoopClosureError(PointNetKLError):
+    """Submaps and poses do not belong together."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `graph` of the parameters."""
+
+    seed: int
+    draws: int
+    coverage: float
+    prior_variance_m2: float
+    cell_factor: float
+    overlap_factor: float | None
+    dead_reckoning: DeadReckoningNoise
+    loop_closure: ClosureNoise
+    prior_yaw_sigma_rad: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require_seed(self.seed)
+        require_positive(self, "draws", "coverage")
+        if self.coverage > 1:
+            raise ValueError(f"coverage is {self.coverage}, a share: must be at most 1")
+        require_within(self, 0.1, 1e3, "cell_factor")  # finer cells fill the memory, coarser ones tell nothing apart
+        require_within(self, 0.0, 1e6, "prior_variance_m2")
+        require_within(self, 0.0, np.pi, "prior_yaw_sigma_rad")
+        if self.overlap_factor is not None:
+            require_positive(self, "overlap_factor")
+
+
+def starts(
+    survey: str, submaps: Sequence[Submap], settings: Settings, dimensions: int = 2, draw: int = 0
+) -> np.ndarray:
+    """Return each submap's perturbation (n, M) before it is registered: from N(0, a I) in metres, and of yaw.
+
+    Every `draw` has its own.
+    """
+    sigma = np.sqrt(settings.prior_variance_m2)
+    sigmas = np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
+    key = zlib.crc32(survey.encode())
+    seeds = ([settings.seed, key, draw, s.number] for s in submaps)
+    return np.array([np.random.default_rng(seed).normal(0.0, sigmas) for seed in seeds])
+
+
+def close(
+    submaps: Sequence[Submap],
+    poses: np.ndarray,
+    perturbations: np.ndarray | None,
+    spacing: float,
+    settings: Settings,
+    registration: gicp.Settings,
+) -> Closures:
+    """Register every submap that returns to mapped ground; return its edges (Algorithm 1, lines 4 to 16).
+
+    Args:
+        submaps: the n nodes in the order of the track.
+        poses: T_map_submap (n, 4, 4).
+        perturbations: (n, M) metres, and radians about the submap's mean; None starts each registration where dead
+            reckoning from the submap before, as corrected, would have it: what a vehicle does when its poses drift.
+        spacing: of neighbouring points in metres, the unit of `cell_factor` and `overlap_factor`.
+        settings: coverage asked for, and those factors.
+        registration: of GICP.
+
+    Raises:
+        LoopClosureError: there is not one pose a submap.
+    """
+    if len(poses) != len(submaps):
+        raise LoopClosureError(
+            f"there are {len(submaps)} submaps and {len(poses)} poses, must be one each; run segment again"
+        )
+    front = _FrontEnd(spacing, settings, registration)
+    for i in range(len(submaps)):
+        drift = front.correction if perturbations is None else np.zeros(3)
+        perturbation = np.zeros(3)
+        if perturbations is not None:
+            perturbation[: registration.dimensions] = perturbations[i]
+        front.add(submaps[i].points, poses[i], drift, perturbation)
+    return front.closures()
+
+
+class Ground:
+    """Mapped ground that a cloud is registered to: points (n, 3) in the map frame."""
+
+    def __init__(
+        self, points: np.ndarray, origin: np.ndarray, reach: float | None, registration: gicp.Settings
+    ) -> None:
+        """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count."""
+        self._origin, self._reach, self._registration = origin, reach, registration  # small numbers register better
+        local = points - origin
+        self._tree = None if reach is None else cKDTree(local[:, :2])
+        self._target = gicp.prepare(local, registration)
+
+    def lay(self, cloud: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """Return the motion that lays a cloud on the ground, and whether it converged; None without a match.
+
+        The cloud (n, 3) is in the map frame, and `start` a motion about the origin.
+        """
+        moving = cloud - self._origin
+        moving = moving[self._over(moving, start)]
+        if len(moving) < self._registration.neighbours:
+            return None
+        return self._lay(gicp.prepare(moving, self._registration), start)
+
+    def lay_each(self, cloud: np.ndarray, starts: Iterable[np.ndarray]) -> list[tuple[np.ndarray, bool] | None]:
+        """Return what `lay` does of many starts, up to rounding, in less time."""
+        whole = gicp.prepare(cloud - self._origin, self._registration)
+        return [self._lay_part(whole, start) for start in starts]
+
+    def _lay_part(self, whole: gicp.Cloud, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        near = self._over(whole.points, start)
+        if near.sum() < self._registration.neighbours:
+            return None
+        return self._lay(gicp.part(whole, near, self._registration), start)
+
+    def _lay(self, source: gicp.Source, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        centre = self._target.centre
+        outcome = gicp.register(source, self._target, self._registration, about(start, -centre))
+        found = np.array([*outcome.translation, outcome.yaw])
+        return (about(found, self._origin + centre), outcome.converged) if outcome.matched_share > 0 else None
+
+    def _over(self, moving: np.ndarray, start: np.ndarray) -> np.ndarray:
+        # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
+        # drag a half-covered submap right across the target.
+        if self._tree is None or self._reach is None:
+            return np.ones(len(moving), bool)
+        distance, _ = self._tree.query(_moved(moving, start)[:, :2], distance_upper_bound=self._reach)
+        return np.isfinite(distance)
+
+
+class _FrontEnd:
+    """The map as it grows: S_graph of Algorithm 1.
+
+    A motion (3,) in the map frame is p -> R(yaw) p + (x, y), as x, y, yaw; without yaw R is exactly the identity.
+    """
+
+    def __init__(self, spacing: float, settings: Settings, registration: gicp.Settings) -> None:
+        self._footprints = footprint.Footprints(settings.cell_factor * spacing)
+        self._share, self._registration = settings.coverage, registration
+        self._reach = None if settings.overlap_factor is None else settings.overlap_factor * spacing
+        self._clouds: list[np.ndarray] = []
+        self._T_map: list[np.ndarray] = []
+        self._centroids: list[np.ndarray] = []
+        self._edges: list[tuple[int, int, int, np.ndarray]] = []
+        self._registered: list[tuple[int, np.ndarray, np.ndarray, bool]] = []
+        self._rejected: list[int] = []
+        self.correction = np.zeros(3)  # the motion of the submap added last
+
+    def add(self, points: np.ndarray, T: np.ndarray, drift: np.ndarray, perturbation: np.ndarray) -> None:
+        """Add the next submap, with pose T, moved by `drift`; register it if it closes a loop."""
+        i = len(self._clouds)
+        cloud = pose.transform(moved_pose(T, drift), points)
+        targets = self._footprints.covering(cloud, self._share, among=i - 1)  # never S_{i-1}
+        outcome = self._register(cloud, targets, perturbation) if len(targets) else None
+        self.correction = drift if outcome is None else _then(drift, outcome[0])
+        self._centroids.append(points[:, :2].mean(axis=0))
+        self._place(_moved(cloud, _since(drift, self.correction)), moved_pose(T, self.correction))
+        if outcome is not None:
+            start = _then(drift, about(perturbation, cloud.mean(axis=0)))
+            self._connect(i, targets, [_shift(T, motion) for motion in (start, self.correction)], outcome[1])
+        elif len(targets):
+            self._rejected.append(i)
+
+    def _register(self, cloud: np.ndarray, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """Return the motion that lays the cloud on its targets, and whether it converged; None without a match."""
+        fused = np.concatenate([self._clouds[k] for k in targets])
+        return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).lay(cloud, start)
+
+    def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
+        self._footprints.add(cloud)
+        self._clouds.append(cloud)
+        self._T_map.append(T)
+
+    def _connect(self, i: int, targets: np.ndarray, shifts: list[np.ndarray], converged: bool) -> None:
+        # x, y and with xyyaw yaw from the registration; the rest is that handed in, because it was not corrected
+        for k in targets:
+            measured = np.linalg.inv(self._T_map[k]) @ self._T_map[i]
+            self._edges.append((int(k), i, len(self._registered), measured))
+        start, correction = shifts
+        self._registered.append((i, start, correction, converged))
+
+    def closures(self) -> Closures:
+        """Return what was found."""
+        edges, registered, m = self._edges, self._registered, self._registration.dimensions
+        return Closures(
+            edges=Edges(
+                target=np.array([e[0] for e in edges], np.int64),
+                source=np.array([e[1] for e in edges], np.int64),
+                measured=np.array([e[3] for e in edges]).reshape(-1, 4, 4),
+            ),
+            registration=np.array([e[2] for e in edges], np.int64),
+            node=np.array([r[0] for r in registered], np.int64),
+            start=np.array([r[1] for r in registered]).reshape(-1, 3)[:, :m],
+            correction=np.array([r[2] for r in registered]).reshape(-1, 3)[:, :m],
+            converged=np.array([r[3] for r in registered], bool),
+            rejected=np.array(self._rejected, np.int64),
+            centroid=np.array(self._centroids).reshape(-1, 2) if m == 3 else None,
+        )
+
+
+def moved_pose(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4) in the map after a motion."""
+    moved = T.copy()
+    moved[:2] = pose.turned(T[:2].T, motion[2]).T
+    moved[:2, 3] += motion[:2]
+    return moved
+
+
+def about(motion: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return, about the origin, a motion that turns about a centre (2 or 3,)."""
+    return np.array([*motion[:2] + (centre[:2] - pose.turned(centre[:2], motion[2])), motion[2]])
+
+
+def _moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    return np.column_stack([pose.turned(points[:, :2], motion[2]) + motion[:2], points[:, 2]])
+
+
+def _shift(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return what a motion changes of a pose: its x, y and yaw."""
+    return np.array([*motion[:2] + (pose.turned(T[:2, 3], motion[2]) - T[:2, 3]), motion[2]])
+
+
+def _then(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the motion that is first and then second."""
+    return np.array([*pose.turned(first[:2], second[2]) + second[:2], first[2] + second[2]])
+
+
+def _since(first: np.ndarray, both: np.ndarray) -> np.ndarray:
+    """Return the motion that makes first both."""
+    yaw = both[2] - first[2]
+    return np.array([*both[:2] - pose.turned(first[:2], yaw), yaw])

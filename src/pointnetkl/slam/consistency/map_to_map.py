@@ -1,0 +1,78 @@
+"""Consistency of a map where submaps overlap (after Roman and Singh 2006): how far apart they lie there.
+
+In each cell of the map, for every ordered pair of submaps in it: the mean over a's points of the distance to b's
+nearest point. A cell counts its worst pair, the map the root mean square over its cells. Neighbouring points of
+one surface are never closer than their spacing allows, so a perfect map of independent soundings is not at zero.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl.slam.consistency import map_kernel
+from pointnetkl.slam.consistency.map_cells import Cells
+from pointnetkl.slam.graph import footprint
+from pointnetkl.surveys import pose
+from pointnetkl.workflow import compute
+from pointnetkl.workflow.errors import PointNetKLError
+
+_SHARES = 8  # of the cells, that a thread takes: what one has more of, another has less of
+
+
+class MapToMapError(PointNetKLError):
+    """The measure is asked for with settings that have no meaning."""
+
+
+class MapToMap:
+    """The measure for one survey's submaps, ready for many estimates of their poses."""
+
+    def __init__(self, clouds: Sequence[np.ndarray], cell: float, thinning: int) -> None:
+        """Prepare clouds (n_i, 3) in submap frames; cells of `cell` metres; every `thinning`-th point asks.
+
+        Only the points that ask, and say which submaps are in a cell, are thinned. What they are compared with
+        stays whole: thinning it would lengthen every distance.
+
+        Raises:
+            MapToMapError: the cell or the thinning is not positive.
+        """
+        if cell <= 0 or thinning < 1:
+            raise MapToMapError(f"cell is {cell:g} m and thinning {thinning}, must be above 0 and at least 1")
+        self._cell = cell
+        self._asking = [cloud[::thinning] for cloud in clouds]
+        self._owner = np.repeat(np.arange(len(clouds)), [len(points) for points in self._asking])
+        # in the submaps' own frames, where they stay the same whatever the poses
+        self._to = map_kernel.buckets(clouds)
+
+    def __call__(self, poses: np.ndarray) -> float:
+        """Return the error in metres for poses T_map_submap (n, 4, 4); NaN where no two submaps share a cell."""
+        return self.cells(poses).rms
+
+    def cells(self, poses: np.ndarray) -> Cells:
+        """Return the error of every cell that submaps share at poses T_map_submap (n, 4, 4)."""
+        points = np.concatenate([pose.transform(T, p) for T, p in zip(poses, self._asking, strict=True)])
+        keys, of = _unique(footprint.keys(points, self._cell))
+        starts, order = map_kernel.grouped(of, len(keys))
+        worst, to_submaps = np.empty(len(keys)), np.linalg.inv(poses)
+        arguments = (starts, self._owner[order], points[order], to_submaps, self._to, worst)
+        in_shares(lambda begin, end: map_kernel.worst_pairs(begin, end, *arguments), len(keys))
+        shared = worst >= 0.0
+        return Cells(*footprint.places(keys[shared]), worst[shared])
+
+
+def in_shares(work: Callable[[int, int], None], count: int) -> None:
+    """Do work(begin, end) on all of `count` cells, by threads: of a kernel, which lets others work meanwhile."""
+    bounds = np.linspace(0, count, compute.workers() * _SHARES + 1).astype(np.int64)
+    with ThreadPoolExecutor(compute.workers()) as pool:
+        list(pool.map(lambda share: work(*share), itertools.pairwise(bounds.tolist())))
+
+
+def _unique(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # the same as np.unique, without sorting every point
+    of, found = pd.factorize(keys)
+    order = np.argsort(found)
+    rank = np.empty(len(found), np.int64)
+    rank[order] = np.arange(len(found))
+    return found[order], rank[of]

@@ -1,0 +1,1 @@
+"""Pose graphs and the search for their optimum."""

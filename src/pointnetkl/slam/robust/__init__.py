@@ -1,0 +1,1 @@
+"""False loop closures, and estimators that withstand them."""

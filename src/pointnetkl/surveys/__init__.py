@@ -1,0 +1,1 @@
+"""Surveys and submaps: their tables, poses and voxels."""

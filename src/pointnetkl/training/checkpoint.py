@@ -1,0 +1,80 @@
+"""A training's state, kept in a file from time to time: one that was killed goes on where it was."""
+
+import contextlib
+import hashlib
+import importlib.metadata
+import inspect
+import io
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pointnetkl.training.dataset import Samples
+from pointnetkl.workflow import artifacts
+
+
+class Checkpoint:
+    """A file named by all that decides a training, written whole or not at all."""
+
+    def __init__(self, folder: Path, name: str, every_s: float) -> None:
+        """Keep the training of that name in the folder, every so many seconds."""
+        self.path = folder / f"{name}.pt"
+        self.every_s = every_s
+        self.kept_at = time.monotonic()
+
+    def load(self) -> dict[str, Any] | None:
+        """Return the state that was kept; None where there is none, or none that can be read."""
+        try:
+            content = torch.load(io.BytesIO(self.path.read_bytes()), map_location="cpu", weights_only=True)
+            return dict(content)
+        except Exception:  # zip, pickle and torch each fail in their own ways; starting anew gives the same model
+            return None
+
+    def offer(self, state: Callable[[], dict[str, Any]]) -> None:
+        """Keep the state if it is time to.
+
+        Raises:
+            ArtifactError: it cannot be written.
+        """
+        if time.monotonic() - self.kept_at < self.every_s:
+            return
+        buffer = io.BytesIO()
+        torch.save(state(), buffer)
+        artifacts.write_bytes(self.path, buffer.getvalue())
+        self.kept_at = time.monotonic()
+
+    def discard(self) -> None:
+        """Delete what is kept in the folder: the model is made, and abandoned trainings of it are outdated."""
+        for path in (*self.path.parent.glob("*.pt"), *self.path.parent.glob(".*.partial")):
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+
+
+def name(settings: Mapping[str, Any], samples: tuple[Samples, ...]) -> str:
+    """Return a hash of settings, data, and the code that is loaded, of this package and of what it computes with."""
+    modules = {key: module for key, module in sys.modules.items() if key.startswith("pointnetkl.")}
+    content = {
+        "settings": settings,
+        "samples": [_digest(each) for each in samples],
+        "sources": {key: inspect.getsource(module) for key, module in sorted(modules.items()) if _has_code(module)},
+        "libraries": [importlib.metadata.version(library) for library in ("numpy", "torch")],
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _digest(samples: Samples) -> str:
+    found = hashlib.sha256()
+    described = () if samples.described is None else (samples.described,)
+    for array in (samples.submap, samples.radius, samples.label, *described, *samples.clouds):
+        found.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def _has_code(module: Any) -> bool:
+    return bool(getattr(module, "__file__", None)) and Path(module.__file__).stat().st_size > 0

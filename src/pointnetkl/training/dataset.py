@@ -1,0 +1,179 @@
+"""What the network learns from: canonical clouds and Monte Carlo labels of the training surveys."""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.surveys import submap, voxel
+from pointnetkl.workflow import artifacts, compute
+from pointnetkl.workflow.errors import PointNetKLError
+
+# Of a label's columns those that are learned: who trains need not import the registration behind the others.
+LABEL = pa.schema([("submap", pa.int32())] + [(f"q_{axes}_m2", pa.float64()) for axes in ("xx", "xy", "yy")])
+
+
+class DatasetError(PointNetKLError):
+    """The training surveys' files are missing, or do not fit together."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Submaps to learn from: equal indices are one submap."""
+
+    survey: np.ndarray  # (k,) names
+    submap: np.ndarray  # (k,) int32, ascending within a survey, which is their order along its track
+    clouds: list[np.ndarray]  # k of (n, 3) float32, canonical
+    radius: np.ndarray  # (k,) metres
+    label: np.ndarray  # (k, M, M) m^2
+    described: np.ndarray | None = None  # (k, D) float32, of the submaps' own points, where a model asks for it
+
+    def __len__(self) -> int:
+        """Return the number of submaps."""
+        return len(self.clouds)
+
+    def take(self, which: np.ndarray) -> "Samples":
+        """Return the submaps at the given indices."""
+        clouds = [self.clouds[i] for i in which]
+        described = None if self.described is None else self.described[which]
+        return Samples(self.survey[which], self.submap[which], clouds, self.radius[which], self.label[which], described)
+
+
+def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
+    """Return the submaps of every training survey, and the voxel's edge that all their clouds have.
+
+    `folder` has a folder for each survey, with clouds.npz and labels.parquet.
+
+    Raises:
+        DatasetError: a file is missing, one survey's files are of different submaps, or voxels differ.
+        ArtifactError, VoxelError, CovarianceError: a file is damaged, or holds what is no cloud or no label.
+    """
+    if not surveys:
+        raise DatasetError("study.train names no survey; there is nothing to train on")
+    parts, voxels = zip(*(_read_survey(folder / name, name) for name in surveys), strict=True)
+    for name, edge in zip(surveys, voxels, strict=True):
+        if edge != voxels[0]:
+            raise DatasetError(
+                f"{folder / name}: voxels of {edge:g}, but {surveys[0]} has {voxels[0]:g}; run voxelise on both again"
+            )
+    return _join(parts), voxels[0]
+
+
+def described(folder: Path, samples: Samples, describe: Callable[[np.ndarray], np.ndarray]) -> Samples:
+    """Return samples with what `describe` says of each submap's own points (n, 3), metres, in its frame.
+
+    Raises:
+        DatasetError, ArtifactError: a survey's submaps.parquet is missing, damaged or of other submaps.
+    """
+    points = [
+        each
+        for name in dict.fromkeys(map(str, samples.survey))
+        for each in _points(folder / name, name, samples.submap[samples.survey == name])
+    ]
+    return dataclasses.replace(samples, described=np.stack(compute.in_threads(describe, points, "describe")))
+
+
+def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Samples, Samples]:
+    """Return submaps to train on and to validate on, the latter in blocks along each survey's track.
+
+    Neighbours overlap, so a random split would put the same ground on both sides: of every survey `blocks` runs of
+    consecutive submaps are held back, `share` of it in all, one drawn in each of as many equal stretches.
+
+    Raises:
+        DatasetError: a survey is too short to give to both sides.
+    """
+    held_back = np.concatenate(
+        [
+            _held_back(str(name), int((samples.survey == name).sum()), share, blocks, seed)
+            for name in dict.fromkeys(samples.survey)
+        ]
+    )
+    return samples.take(np.flatnonzero(~held_back)), samples.take(np.flatnonzero(held_back))
+
+
+def draw(
+    samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return as many random points of each chosen cloud (b, points, 3), float32, and the radii (b,), float32.
+
+    A point comes twice only where the cloud has fewer: nothing is padded, so no batch norm sees what is not there.
+    None: all points, of clouds that have the same number of them.
+    """
+    clouds = [samples.clouds[i] for i in which]
+    if points is not None:
+        clouds = [c[rng.choice(len(c), points, replace=len(c) < points, shuffle=False)] for c in clouds]
+    return np.stack(clouds), samples.radius[which].astype(np.float32)
+
+
+def parts(which: np.ndarray, size: int) -> list[np.ndarray]:
+    """Return indices in parts of about equal length, none longer than `size`."""
+    return np.array_split(which, -(-len(which) // size))
+
+
+def _read_survey(folder: Path, name: str) -> tuple[Samples, float]:
+    clouds_path, labels_path = folder / "clouds.npz", folder / "labels.parquet"
+    for path in (clouds_path, labels_path):
+        if not path.exists():
+            raise DatasetError(f"{path}: is missing, but study.train names {name}; run dvc repro gather@{name}")
+    arrays, metadata = artifacts.read_arrays(clouds_path)
+    clouds = voxel.Clouds.from_arrays(arrays, str(clouds_path))
+    labels = artifacts.read_table(labels_path, LABEL, also=table.YAW)
+    if clouds.submap.tolist() != labels["submap"].tolist():
+        raise DatasetError(
+            f"{folder}: clouds.npz has {len(clouds)} submaps, not those of the {len(labels)} labels in"
+            f" labels.parquet; run dvc repro gather@{name}"
+        )
+    covariances = table.to_matrices(labels)
+    for number, q in zip(clouds.submap, covariances, strict=True):
+        gaussian.check(q, f"{labels_path}, submap {number}")
+    points = [clouds.cloud(i).points for i in range(len(clouds))]
+    samples = Samples(np.full(len(clouds), name), clouds.submap, points, clouds.radius, covariances)
+    return samples, _voxel(metadata, clouds_path)
+
+
+def _voxel(metadata: dict[str, object], path: Path) -> float:
+    try:
+        return float(metadata["params"]["voxelise"]["voxel"])  # type: ignore[index]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: does not say which voxels made it; run voxelise again") from error
+
+
+def _join(parts: Sequence[Samples]) -> Samples:
+    return Samples(
+        np.concatenate([part.survey for part in parts]),
+        np.concatenate([part.submap for part in parts]),
+        [cloud for part in parts for cloud in part.clouds],
+        np.concatenate([part.radius for part in parts]),
+        np.concatenate([part.label for part in parts]),
+    )
+
+
+def _points(folder: Path, name: str, numbers: np.ndarray) -> list[np.ndarray]:
+    path = folder / "submaps.parquet"
+    submaps = submap.from_table(name, artifacts.read_table(path, submap.POINTS))
+    if [s.number for s in submaps] != numbers.tolist():
+        raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro gather@{name}")
+    return [s.points for s in submaps]
+
+
+def _held_back(name: str, count: int, share: float, blocks: int, seed: int) -> np.ndarray:
+    """Return which of a survey's submaps are validated on, (count,) bool."""
+    if count < 2:
+        raise DatasetError(f"{name}: has {count} submap, too few to train on some and validate on others; drop it")
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    total = min(max(1, round(share * count)), count - 1)
+    held_back = np.zeros(count, bool)
+    stretches = np.array_split(np.arange(count), min(blocks, total))
+    for stretch, size in zip(stretches, _equal_parts(total, len(stretches)), strict=True):
+        start = rng.integers(stretch[0], stretch[-1] - size + 2)
+        held_back[start : start + size] = True
+    return held_back
+
+
+def _equal_parts(total: int, parts: int) -> list[int]:
+    return [total // parts + (i < total % parts) for i in range(parts)]

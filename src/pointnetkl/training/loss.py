@@ -1,0 +1,23 @@
+"""What training makes small: the KL divergence from the labels to the model's answers."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pointnetkl.models import cholesky
+from pointnetkl.models.model import Model, to_tensors
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.training.dataset import Samples
+
+
+def divergences(
+    model: Model, samples: Samples, which: np.ndarray, points: int, floor_m2: float, rng: np.random.Generator
+) -> Tensor:
+    """Return KL(label + floor || answer + floor) of some submaps, seen by so many random points, nats (b,), float64.
+
+    The floor is on both sides, as where methods are judged: the answer itself is without it.
+    """
+    numbers = model(*to_tensors(model, model.inputs(samples, which, points, rng))).double()
+    label = samples.label[which]
+    floor = np.diag(gaussian.with_floor(np.zeros(label.shape[1:]), floor_m2))
+    return cholesky.kl_divergence(torch.from_numpy(label).to(numbers), numbers, torch.tensor(floor).to(numbers))

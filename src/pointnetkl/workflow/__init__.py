@@ -1,0 +1,1 @@
+"""What every stage shares: settings, artifacts, workers, errors."""

@@ -1,0 +1,133 @@
+"""Map a function over submaps, in order; the answer never depends on who does the work, or how many.
+
+`over` is for hours of work: local processes, or a Dask cluster when DASK_SCHEDULER_ADDRESS names one. Function and
+items travel to them, so they hold paths and not clouds. `in_threads` is for seconds of it, in kernels that release
+Python's lock, on what is in memory already.
+"""
+
+import contextlib
+import functools
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
+from typing import Any, TypeVar
+
+from tqdm import tqdm
+
+from pointnetkl.workflow import cluster
+from pointnetkl.workflow.errors import PointNetKLError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class ComputeError(PointNetKLError):
+    """A setting of the workers makes no sense, or they did not survive."""
+
+
+def workers() -> int:
+    """Return how many workers to use: POINTNETKL_WORKERS, or one per core that this process may use.
+
+    Raises:
+        ComputeError: POINTNETKL_WORKERS is not a number of workers.
+    """
+    asked = os.environ.get("POINTNETKL_WORKERS")
+    if asked is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not asked.isdecimal() or int(asked) < 1:
+        raise ComputeError(f"POINTNETKL_WORKERS is {asked!r}, must be a whole number of at least 1")
+    return int(asked)
+
+
+def over(
+    function: Callable[[Item], Result], items: Sequence[Item], doing: str, processes: bool = True, unit: str = "submap"
+) -> list[Result]:
+    """Return the function of every item, in order, with a progress bar that says what is being done to what.
+
+    It runs in local processes (in threads where processes would take turns, as at one GPU), or on the Dask cluster of
+    DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this process, whatever else is set. The function keeps its
+    work itself where that is to survive a failure.
+
+    Raises:
+        ComputeError: POINTNETKL_WORKERS is not a number of workers, or a local worker died.
+        ClusterError: a worker of the cluster died, or there is none, or no cluster at the address.
+    """
+    if not items:
+        return []
+    count = min(workers(), len(items))
+    address = os.environ.get("DASK_SCHEDULER_ADDRESS")
+    if address and os.environ.get("POINTNETKL_WORKERS") != "1":
+        return cluster.over(function, items, doing, address, functools.partial(progress, unit=unit))
+    if count > 1 and not processes:
+        return in_threads(function, items, doing, unit)
+    if count > 1:
+        return _in_processes(function, items, doing, count, unit)
+    return [function(item) for item in progress(items, doing, len(items), unit)]
+
+
+def in_threads(
+    function: Callable[[Item], Result], items: Sequence[Item], doing: str, unit: str = "submap"
+) -> list[Result]:
+    """Return the function of every item, in order, by threads of this process."""
+    with ThreadPoolExecutor(workers()) as pool:
+        return list(progress(pool.map(function, items), doing, len(items), unit))
+
+
+def progress(items: Iterable[Item], doing: str, total: int, unit: str = "submap") -> Iterable[Item]:
+    """Yield the items under a progress bar with rate and time left."""
+    return tqdm(items, desc=doing, total=total, unit=unit, mininterval=0.5, dynamic_ncols=True)
+
+
+def _in_processes(
+    function: Callable[[Item], Result], items: Sequence[Item], doing: str, count: int, unit: str
+) -> list[Result]:
+    # A server that has imported the function's module forks the workers: a fork of this process would inherit its
+    # libraries' threads, and a fresh interpreter for each would import everything again.
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context: Any = multiprocessing.get_context(method)
+    context.set_forkserver_preload([getattr(function, "func", function).__module__])
+    pool = ProcessPoolExecutor(count, context, _begin_worker)
+    try:
+        with _one_thread_each():
+            return list(progress(pool.map(function, items), doing, len(items), unit))
+    except BrokenProcessPool as error:
+        raise ComputeError(
+            f"{doing}: a worker process was killed, most often because memory ran out; stage label keeps what it"
+            f" finished: run it again, with POINTNETKL_WORKERS below {count} if memory is short"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    # libraries read these once, as a worker imports them
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _begin_worker() -> None:
+    # Ctrl-C is the parent's to answer; and when the parent dies, however it does, nobody else would end this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)

@@ -1,0 +1,79 @@
+"""The surveys of the study: where each one's raw data are, and the numbers that stand in its line."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pointnetkl.workflow import settings
+
+_MOST_RUNS = 1_000_000  # of a label: their errors are held at once
+_PREDICTING = ("pointnetkl", "network")  # the models that stages predict and time read
+
+
+@dataclass(frozen=True)
+class StudySurvey:
+    """One survey's line in the parameter file.
+
+    Raises:
+        ValueError: a length or a count is not positive.
+    """
+
+    raw: str  # file or folder of raw pings
+    truth: str  # its true trajectory; data/none where it is not known
+    submap_length_m: float
+    point_spacing_m: float
+    label_runs: int  # registrations per Monte Carlo label
+
+    def __post_init__(self) -> None:
+        """Refuse what no submap can be cut by."""
+        settings.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
+        if self.label_runs > _MOST_RUNS:
+            raise ValueError(f"label_runs is {self.label_runs}, must be at most {_MOST_RUNS}")
+        if self.submap_length_m < 2 * self.point_spacing_m:
+            raise ValueError(
+                f"submap_length_m is {self.submap_length_m:g}, must be at least twice point_spacing_m,"
+                f" which is {self.point_spacing_m:g}"
+            )
+
+
+@dataclass(frozen=True)
+class Study:
+    """The surveys that are trained on, those that are tested on, and all of them."""
+
+    train: dict[str, StudySurvey]
+    test: dict[str, StudySurvey]
+    surveys: dict[str, StudySurvey]
+    scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
+    models: list[str] = field(default_factory=lambda: list(_PREDICTING))  # those of section `models` that are trained
+    unscaled: str = "data/none"  # the weights of pointnetkl_unscaled, where it is one of them
+
+    def __post_init__(self) -> None:
+        """Refuse a study that would test on what it trained on, or that lacks a model.
+
+        Raises:
+            ValueError: a survey, or its raw files, are in both groups; a model is missing or stands twice.
+        """
+        if not set(_PREDICTING) <= set(self.models) or len(set(self.models)) < len(self.models):
+            raise ValueError(f"models is {self.models}, must name {' and '.join(_PREDICTING)}, and each model once")
+        if both := sorted(set(self.train) & set(self.test)):
+            raise ValueError(f"test has {both[0]}, which train has too; name it in one of them")
+        trained = {line.raw for line in self.train.values()}
+        if both := sorted(name for name, line in self.test.items() if line.raw in trained):
+            raise ValueError(f"test.{both[0]} has the raw files of a training survey; test on others")
+
+
+def read(path: Path) -> Study:
+    """Return the whole study of a parameter file.
+
+    Raises:
+        SettingsError: a line is wrong.
+    """
+    return settings.read(path, "study", Study)
+
+
+def survey(path: Path, name: str) -> StudySurvey:
+    """Return one survey's line; what other surveys' lines say does not matter.
+
+    Raises:
+        SettingsError: there is no such survey, or its line is wrong.
+    """
+    return settings.read(path, f"study.surveys.{name}", StudySurvey)

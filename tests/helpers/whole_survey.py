@@ -1,0 +1,50 @@
+"""A survey with all its soundings in one table, as tests want it and memory seldom does."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from pointnetkl import readers
+from pointnetkl.segmentation import Segmentation
+from pointnetkl.surveys.submap import Submap
+from pointnetkl.surveys.survey import SOUNDINGS
+
+SETTINGS = readers.Settings(0, "auto")
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What `survey.Survey` holds, and the soundings."""
+
+    pings: pd.DataFrame
+    soundings: pd.DataFrame
+    crs: str = "local"
+    origin: tuple[float, float] = (0.0, 0.0)
+    kind: str = "pings"
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+def read(path: Path, how: readers.Settings = SETTINGS) -> Whole:
+    """Read a raw survey with all its soundings."""
+    parts: list[pd.DataFrame] = []
+    found = readers.read(path, how, parts.append)
+    soundings = pd.concat(parts or [SOUNDINGS.empty_table().to_pandas()], ignore_index=True)
+    return Whole(found.pings, soundings, found.crs, found.origin, found.kind, found.report)
+
+
+class Cut(NamedTuple):
+    """What a segmentation gives, with its submaps."""
+
+    submaps: list[Submap]
+    poses: pd.DataFrame
+    dropped: dict[str, int]
+
+
+def cut(segment: Callable[..., Segmentation], *arguments: Any) -> Cut:
+    """Return all submaps of a segmentation, which hands them over one by one."""
+    submaps: list[Submap] = []
+    found = segment(*arguments, submaps.append)
+    return Cut(submaps, found.poses, found.dropped)

@@ -1,0 +1,59 @@
+"""A trained model predicts the Q that it learned, and no other under its name."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from pointnetkl.models import model_file, trained
+from pointnetkl.models import pointnetkl as network
+from pointnetkl.models.trained import TrainedError
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.workflow import settings
+
+LABEL = monte_carlo.Settings(seed=2, copy="same", prior_variance_m2=9.0, noise_sigma_m=0.2, held_out_runs=0)
+REGISTRATION = gicp.Settings(
+    neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
+)
+METADATA = {"label": settings.as_metadata(LABEL), "registration": settings.as_metadata(REGISTRATION)}
+
+
+def write(folder: Path, metadata: dict[str, object]) -> Path:
+    """Write an untrained model of x and y."""
+    chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
+    model = network.PointNetKL(chosen)
+    (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", model, 0.01, metadata))
+    return folder / "mine.pt"
+
+
+@pytest.mark.parametrize("metadata", [METADATA, {}])
+def test_a_model_of_the_same_settings_is_read_and_none_is_none(tmp_path: Path, metadata: dict[str, object]):
+    (tmp_path / "none").write_text("none\n")
+    later = dataclasses.replace(LABEL, seed=3, held_out_runs=9)  # which change no Q
+    found = trained.load_all([write(tmp_path, metadata), tmp_path / "none"], later, REGISTRATION)
+    assert [each.name for each in found] == ["mine"]
+
+
+def test_a_missing_model_says_what_to_run(tmp_path: Path):
+    with pytest.raises(model_file.ModelFileError, match=r"nope\.pt: is missing; run dvc repro train@nope"):
+        trained.load_all([tmp_path / "nope.pt"], LABEL, REGISTRATION)
+
+
+@pytest.mark.parametrize(
+    ("label", "registration", "said"),
+    [
+        ({}, {"dof": "xyyaw"}, "registration.dof xy, and the parameters have xyyaw"),
+        ({"copy": "split"}, {}, "label.copy same, and the parameters have split"),
+        ({"noise_sigma_m": 0.1}, {}, "label.noise_sigma_m 0.2, and the parameters have 0.1"),
+        ({"prior_variance_m2": 4.0}, {}, "label.prior_variance_m2 9.0, and the parameters have 4.0"),
+        ({}, {"max_distance_m": 10.0}, "registration.max_distance_m 20.0, and the parameters have 10.0"),
+    ],
+)
+def test_a_model_that_learned_another_q_is_refused(
+    tmp_path: Path, label: dict[str, object], registration: dict[str, object], said: str
+):
+    path = write(tmp_path, METADATA)
+    with pytest.raises(TrainedError) as found:
+        trained.load_all([path], dataclasses.replace(LABEL, **label), dataclasses.replace(REGISTRATION, **registration))
+    assert str(found.value).startswith(f"{path}: was trained ")
+    assert str(found.value).endswith(f"{said}; run dvc repro train@mine")

@@ -1,0 +1,104 @@
+"""Many files are one survey, whoever reads them; their soundings wait on disk, and none is lost on the way."""
+
+import os
+from pathlib import Path
+
+import all_files
+import numpy as np
+import pandas as pd
+import pytest
+from test_readers import parquet, rows
+from test_readers_all import starts
+from whole_survey import read
+
+from pointnetkl import readers
+from pointnetkl.readers import formats, spool
+from pointnetkl.readers.formats import kongsberg_all, recording
+from pointnetkl.surveys.survey import SurveyError
+
+
+@pytest.fixture
+def lines(tmp_path: Path) -> Path:
+    """A folder of four files, whose names are not in the order of time."""
+    for number, name in enumerate(("line_2.all", "line_10.all", "line_1.all", "line_9.all")):
+        (tmp_path / name).write_bytes(all_files.survey(6, begin=all_files.BEGIN + 6 * number))
+    return tmp_path
+
+
+def test_a_survey_is_the_same_whoever_reads_its_files(lines: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(readers, "_SMALL_BYTES", 0)
+    found = []
+    for workers in ("1", "2", "3"):
+        monkeypatch.setenv("POINTNETKL_WORKERS", workers)
+        found.append(read(lines))
+    for other in found[1:]:
+        pd.testing.assert_frame_equal(other.pings, found[0].pings)
+        pd.testing.assert_frame_equal(other.soundings, found[0].soundings)
+        assert other.report == found[0].report
+    names = ["line_2.all", "line_10.all", "line_1.all", "line_9.all"]
+    assert found[0].pings["file"].drop_duplicates().tolist() == names
+    assert found[0].pings["time_s"].is_monotonic_increasing
+
+
+def test_parts_of_any_size_make_the_same_survey(lines: Path, monkeypatch: pytest.MonkeyPatch):
+    whole = read(lines)
+    for size in (1, 50, 1000):
+        for module in ("kongsberg_all", "georeference"):
+            monkeypatch.setattr(f"pointnetkl.readers.{module}.PART", size)
+        again = read(lines)
+        pd.testing.assert_frame_equal(again.soundings, whole.soundings)
+        pd.testing.assert_frame_equal(again.pings, whole.pings)
+
+
+def test_pings_of_two_files_at_once_are_put_in_turns(tmp_path: Path):
+    table = rows(pings=20, heading=1.0)
+    odd = np.repeat(np.arange(20) % 2 == 1, 5)
+    parquet(tmp_path / "port.parquet", table[odd])
+    parquet(tmp_path / "starboard.parquet", table[~odd])
+    found = read(tmp_path)
+    assert found.pings["file"].tolist() == ["starboard.parquet", "port.parquet"] * 10
+    parquet(tmp_path / "both.parquet", table)
+    pd.testing.assert_frame_equal(found.soundings, read(tmp_path / "both.parquet").soundings)
+
+
+def test_of_all_damage_of_a_survey_twenty_places_are_told_and_the_others_counted(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(kongsberg_all, "PART", 50)
+    for file in ("a.all", "b.all"):
+        content = bytearray(all_files.survey(120, begin=all_files.BEGIN + 120 * (file == "b.all")))
+        for place in starts(content, "X")[:70]:
+            content[place + 60] ^= 0x10
+        (tmp_path / file).write_bytes(content)
+    report = read(tmp_path).report
+    assert report["skipped"]["pings with a wrong checksum"] == 140
+    assert len(report["problems"]) == 21
+    assert report["problems"][-1] == "and 120 more"
+
+
+def test_what_is_wrong_with_a_whole_file_is_told_before_the_damage_that_fills_the_report():
+    problems = recording.Problems("a.all")
+    for place in range(30):
+        problems.tell(f"byte {place} is damaged")
+    problems.tell_first("holds no position")
+    told = problems.taken()
+    assert told.sentences[:2] == ["a.all: holds no position", "a.all: byte 0 is damaged"]
+    assert told.sentences[19:] == ["a.all: byte 18 is damaged", "and 11 more"]
+    assert (problems.sentences, bool(problems)) == ([], False)
+
+
+def test_nothing_is_left_beside_a_survey_that_was_read_or_refused(lines: Path, tmp_path: Path):
+    scratch = tmp_path / "scratch"
+    readers.read(lines / "line_1.all", readers.Settings(0, "auto"), lambda part: None, scratch)
+    (lines / "bad.gsf").write_bytes(b"no survey")
+    with pytest.raises(SurveyError, match=r"bad\.gsf"):
+        readers.read(lines / "bad.gsf", readers.Settings(0, "auto"), lambda part: None, scratch)
+    assert os.listdir(scratch) == []
+    (scratch / ".spool-killed").mkdir()
+    readers.read(lines / "line_1.all", readers.Settings(0, "auto"), lambda part: None, scratch)
+    assert os.listdir(scratch) == []
+
+
+def test_a_fault_of_a_reader_is_told_with_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(formats.FORMATS["GSF"], "read", lambda path: [][0])
+    (tmp_path / "line.gsf").write_bytes(b"any")
+    with pytest.raises(spool.UnforeseenError, match=r"line\.gsf: the reader of GSF fails on it \(IndexError"):
+        spool.fill((tmp_path / "line.gsf", tmp_path / "spool"))

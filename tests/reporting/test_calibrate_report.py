@@ -1,0 +1,206 @@
+"""What the report says of loop closures: right of errors drawn from Q, and nothing of surveys that close none."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pointnetkl.reporting.closures import figures as calibration_plots
+from pointnetkl.reporting.closures import numbers as closures
+from pointnetkl.reporting.closures import tables as closure_tables
+from pointnetkl.reporting.closures import words as closure_story
+from pointnetkl.reporting.closures.numbers import Closures
+from pointnetkl.reporting.covariances.numbers import GOLD
+from pointnetkl.slam.closures import errors as closure_errors
+
+SUBMAPS, DRAWS = 60, 60
+DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}
+
+
+def made(seed: int, sigma: float = 1.0, count: int = SUBMAPS, m: int = 2, truth: bool = True) -> Closures:
+    """Return loop closures whose errors are drawn from the labels' Q, times a standard deviation."""
+    rng = np.random.default_rng(seed)
+    roots = rng.normal(size=(count, m, m)) * 10 ** rng.uniform(-2, 0, (count, 1, 1)) + 0.01 * np.eye(m)
+    q = roots @ np.swapaxes(roots, 1, 2)
+    number = np.tile(np.arange(count), DRAWS if count else 0)
+    placed = np.einsum("rij,rj->ri", roots[number], rng.normal(size=(len(number), m)))
+    rows = pd.DataFrame({"draw": np.repeat(np.arange(len(number) // max(count, 1)), count), "submap": number})
+    rows = rows.assign(targets=1, converged=True, **{name: rng.random(len(rows)) for name in closures.DESCRIBED})
+    errors = {"error": sigma * placed if truth else np.nan * placed, "gt_error": sigma * placed, "placed_error": placed}
+    for kind, e in errors.items():
+        rows = rows.assign(**{f"{kind}_{unit}": e[:, i] for i, unit in enumerate(("x_m", "y_m", "w_rad")[:m])})
+    known = {"monte_carlo": 1.0, "split": 4.0, "pair": sigma**2}
+    return Closures(rows, {name: dict(enumerate(factor * q)) for name, factor in known.items()})
+
+
+def numbers(every: dict[str, Closures]) -> dict[str, dict]:
+    """Return what the report hands to the tables."""
+    return {
+        "calibration_lc": closures.calibrations(every),
+        "calibration": {name: {} for name in every},
+        "closures": {name: closures.sizes(of) for name, of in every.items()},
+        "closures_by_hold": {name: closures.by_hold(of) for name, of in every.items()},
+        "closure_ratios": {name: closures.dependence(of) for name, of in every.items()},
+    }
+
+
+@pytest.mark.parametrize("m", [2, 3])
+def test_errors_drawn_from_q_have_a_nees_of_one_and_nominal_coverage(m: int):
+    found = closures.calibrations({"a": made(1, m=m)})["a"][GOLD]
+    assert found["nees"] == pytest.approx(1, abs=0.05)
+    assert found["nees_median"] == pytest.approx(1, abs=0.05)
+    for percent in (50, 90, 95, 99):
+        assert found[f"coverage_{percent}"] == pytest.approx(percent / 100, abs=0.02)
+    assert found["inflation"] == pytest.approx(1, abs=0.1)
+
+
+def test_what_the_map_adds_to_errors_is_not_laid_at_the_registration_s_door():
+    found = closures.calibrations({"a": made(1, sigma=3.0)})["a"]
+    assert found[GOLD]["nees"] == pytest.approx(9, rel=0.05)
+    assert found[GOLD]["placed_nees"] == pytest.approx(1, abs=0.05)
+    assert found["pair"]["nees"] == pytest.approx(1, abs=0.05)
+
+
+def test_a_factor_found_on_one_survey_makes_the_other_one_right_if_both_are_wrong_alike():
+    every = {"a": made(1, sigma=3.0), "b": made(2, sigma=3.0)}
+    found = closures.calibrations(every)["b"][GOLD]
+    assert found["inflation"] == pytest.approx(9, rel=0.1)
+    assert found["coverage_95"] < 0.6
+    assert found["coverage_95_inflated"] == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_variance_to_add_is_that_which_was_left_out():
+    of = made(1)
+    shaken = np.random.default_rng(3).normal(0, 0.5, (len(of.rows), 2))
+    exact = dict.fromkeys(of.covariances[GOLD], 1e-4 * np.eye(2))
+    rows = of.rows.assign(error_x_m=shaken[:, 0], error_y_m=shaken[:, 1])
+    found = closures.calibrations({"a": Closures(rows, {GOLD: exact})})["a"][GOLD]
+    assert found["added_m2"] == pytest.approx(0.25, rel=0.1)
+    assert (
+        closures.calibrations({"a": Closures(of.rows, {"split": of.covariances["split"]})})["a"]["split"]["added_m2"]
+        == 0
+    )
+
+
+def test_where_the_truth_is_not_known_errors_are_told_from_gt():
+    of = made(1, sigma=2.0, truth=False)
+    assert of.against == "gt"
+    assert closures.calibrations({"a": of})["a"][GOLD]["nees"] == pytest.approx(4, rel=0.05)
+
+
+def test_ratios_are_of_standard_deviations():
+    of = made(1, sigma=3.0)
+    assert closures.ratios(of, GOLD)["ratio"].to_numpy() == pytest.approx(3.0)
+    assert closures.ratios(of, "split")["ratio"].to_numpy() == pytest.approx(1.5)
+    assert len(closures.ratios(of, GOLD)) == SUBMAPS
+    assert closures.ratios(of, GOLD)["worst_ratio"].to_numpy() == pytest.approx(3.0)
+    longer = {number: q @ np.diag([4.0, 1.0]) for number, q in dict.fromkeys(range(SUBMAPS), np.eye(2)).items()}
+    squeezed = Closures(of.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "pair": longer})
+    found = closures.ratios(squeezed, GOLD)
+    assert found["ratio"].to_numpy() == pytest.approx(np.sqrt(5 / 2))
+    assert found["worst_ratio"].to_numpy() == pytest.approx(2)
+
+
+def one_bias(against: str = "truth") -> Closures:
+    """Return registrations of each submap that all end at an error drawn from its label: Q_ij is of rank one, nearly.
+
+    Its short axis is a millimetre, of what the starts leave.
+    """
+    of, rng = made(1, truth=against == "truth"), np.random.default_rng(4)
+    labels = np.array(list(of.covariances[GOLD].values()))
+    bias = np.einsum("kij,kj->ki", np.linalg.cholesky(labels), rng.normal(size=(SUBMAPS, 2)))
+    ends = bias[of.rows["submap"]] + rng.normal(0, 1e-3, (len(of.rows), 2))
+    rows = of.rows.assign(placed_error_x_m=ends[:, 0], placed_error_y_m=ends[:, 1])
+    pair = dict(enumerate(bias[:, :, None] * bias[:, None, :] + 1e-6 * np.eye(2)))
+    return Closures(rows, {**of.covariances, "pair": pair})
+
+
+def test_a_q_of_rank_one_is_as_wide_as_its_error_and_not_as_its_short_axis():
+    of = one_bias()
+    found = closures.ratios(of, GOLD)
+    shares = [
+        np.sqrt(np.linalg.det(of.covariances["pair"][n]) / np.linalg.det(of.covariances[GOLD][n]))
+        for n in range(SUBMAPS)
+    ]
+    assert np.median(np.sqrt(shares)) < 0.5  # what determinants would say, of errors that the labels tell rightly
+    assert 0.6 < np.sqrt((found["ratio"] ** 2).mean()) < 1.4
+    assert (found["worst_ratio"] >= found["ratio"]).all()
+
+
+def test_with_yaw_ratios_are_of_positions():
+    of = made(1, m=3)
+    turned = {number: q * np.diag([1.0, 1.0, 1e4]) for number, q in of.covariances[GOLD].items()}
+    of = Closures(
+        of.rows, {GOLD: dict.fromkeys(turned, np.eye(3)), "pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))}
+    )
+    found = closures.ratios(of, GOLD)
+    assert found[["ratio", "worst_ratio"]].to_numpy() == pytest.approx(2.0)
+
+
+def test_the_page_calls_q_ij_an_oracle_and_quotes_no_circular_coverage():
+    surveys = {"a": one_bias(), "mine": one_bias("gt")}
+    said = closure_story.section(closure_tables.every(numbers(surveys), DATASETS), {"a": "same"}).paragraphs
+    assert any("an oracle" in text and "circular" in text for text in said)
+    (inside,) = (text for text in said if text.startswith("Inside the ellipse"))
+    known, unknown = inside.split("; ")
+    assert known.count("(placed") == 2  # labels and split
+    assert "Q_ij" in known.rsplit(",", 1)[1]
+    assert "placed" not in unknown
+
+
+def test_classes_by_hold_hold_every_registration_once():
+    of = made(1)
+    found = closures.by_hold(of)
+    assert sum(each["registrations"] for each in found.values()) == len(of.rows)
+    assert found["below 0.1 m"]["placed_error_m"] < 0.1 < found["above 1 m"]["placed_error_m"]
+
+
+def test_a_survey_that_closes_no_loop_has_dashes_and_no_figure_fails():
+    every = {"mine": made(1, count=0)}
+    found = numbers(every)
+    assert found["calibration_lc"] == {"mine": {}}
+    blocks = closure_tables.every(found, DATASETS)["calibration_lc"]
+    assert blocks[0].frame.empty
+    assert blocks[1].frame.loc[0, "registrations"] == 0
+    assert blocks[1].frame.loc[0, "error_m"] is None
+    paragraphs = closure_story.section({"calibration_lc": blocks}, {"mine": "same"}).paragraphs
+    assert paragraphs[-1] == "No survey here closes a loop."
+    assert len(dict(calibration_plots.every(blocks[0].frame, every))) == 3
+
+
+def test_the_page_advises_the_copy_whose_labels_hold_as_many_errors_as_they_say():
+    surveys = {"a": made(1), "b": made(2)}
+    blocks = closure_tables.every(numbers(surveys), DATASETS)
+    copies = {"a": "same", "b": "same"}
+    assert "those of copy same: the paper's labels stand" in closure_story.section(blocks, copies).paragraphs[-2]
+    swapped = {
+        name: Closures(of.rows, {**of.covariances, GOLD: of.covariances["split"], "split": of.covariances[GOLD]})
+        for name, of in surveys.items()
+    }
+    blocks = closure_tables.every(numbers(swapped), DATASETS)
+    assert "take label.copy: split" in closure_story.section(blocks, copies).paragraphs[-2]
+    assert not any("What follows" in said for said in closure_story.section(blocks, {"a": "split"}).paragraphs)
+
+
+def test_where_the_truth_is_not_known_no_copy_is_advised():
+    blocks = closure_tables.every(numbers({"a": made(1, truth=False)}), DATASETS)
+    said = closure_story.section(blocks, {"a": "same"}).paragraphs
+    assert not any("What follows" in text for text in said)
+    blocks = closure_tables.every(numbers({"a": made(1, truth=False), "b": made(2)}), DATASETS)
+    said = closure_story.section(blocks, {"a": "same", "b": "same"}).paragraphs
+    assert sum("What follows" in text for text in said) == 1  # of b
+    of_a, of_b = next(text for text in said if "other test surveys ask" in text).split("; b, ", 1)
+    assert "without GT's errors" in of_b
+    assert "without GT's errors" not in of_a
+
+
+def test_bins_of_errors_drawn_from_q_lie_on_the_line():
+    of = made(1)
+    points = calibration_plots.binned(*of.judged(GOLD))
+    assert len(points) == 8
+    assert points[:, 1] == pytest.approx(points[:, 0], rel=0.1)
+    assert calibration_plots.binned(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0, 2)
+
+
+def test_what_is_read_of_a_table_is_what_its_stage_writes():
+    assert set(closures.ROWS.names) <= set(closure_errors.CLOSURES.names)
+    assert (closures.SPLIT, closures.PAIR) == (closure_errors.SPLIT, closure_errors.PAIR)

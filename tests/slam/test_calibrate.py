@@ -1,0 +1,228 @@
+"""Errors of loop closures, measured: what Q_ij is, what GT adds, and that the number of workers does not count."""
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from toy_survey import REGISTRATION, SETTINGS, SPACING, graph
+
+from pointnetkl.models import model_file
+from pointnetkl.models import pointnetkl as network
+from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.closures import errors as closure_errors
+from pointnetkl.slam.closures import loop_closure, terrain
+from pointnetkl.slam.graph import survey_graph
+from pointnetkl.slam.graph.survey_graph import SurveyGraph
+from pointnetkl.surveys import pose, submap
+from pointnetkl.workflow import artifacts, settings
+
+ROOT = Path(__file__).parents[2]
+LABEL = monte_carlo.Settings(2, "same", 1.0, 0.02, 0)
+CHOSEN = closure_errors.Settings(5, 60)
+Measured = tuple[pd.DataFrame, pd.DataFrame]
+
+
+def measure(
+    made: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
+) -> Measured:
+    """Return the tables of a toy survey."""
+    how = closure_errors.How(SPACING, SETTINGS, LABEL, registration)
+    return closure_errors.measure(made[1], made[0], dataclasses.replace(CHOSEN, runs=runs), how)
+
+
+@pytest.fixture(scope="module")
+def toy() -> tuple[list[submap.Submap], SurveyGraph]:
+    """A survey over rugged ground, whose navigation drifts."""
+    return graph()
+
+
+@pytest.fixture(scope="module")
+def measured(toy: tuple[list[submap.Submap], SurveyGraph]) -> Measured:
+    """Its tables."""
+    return measure(toy)
+
+
+def covariances(covariances: pd.DataFrame, method: str) -> dict[int, np.ndarray]:
+    """Return the covariances of a method by submap."""
+    rows = covariances[covariances["method"] == method]
+    return dict(zip(rows["submap"].tolist(), table.to_matrices(rows), strict=True))
+
+
+def size(q: np.ndarray) -> float:
+    """Return the geometric mean of a covariance's variances."""
+    return float(np.sqrt(np.linalg.det(q)))
+
+
+def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_of_them(
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
+):
+    pair, split = covariances(measured[1], "pair"), covariances(measured[1], "split")
+    for number, q in pair.items():
+        rng = np.random.default_rng(1)
+        same = monte_carlo.covariance(monte_carlo.errors(toy[0][number], 60, rng, LABEL, REGISTRATION).errors)
+        assert 10 * size(same) < size(q) < size(split[number])
+
+
+def test_there_is_a_row_for_each_registration_of_each_draw(
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
+):
+    rows, made = measured[0], toy[1]
+    assert list(rows.columns) == closure_errors.CLOSURES.names
+    for draw, closures in enumerate(made.draws):
+        of = rows[rows["draw"] == draw]
+        assert of["submap"].tolist() == made.number[closures.node].tolist()
+        expected = survey_graph.registration_errors(closures, made.truth)
+        assert of[["error_x_m", "error_y_m"]].to_numpy() == pytest.approx(expected)
+    assert rows["overlap"].between(SETTINGS.coverage, 1).all()
+    assert set(covariances(measured[1], "pair")) == set(rows["submap"])
+
+
+def test_a_placed_registration_errs_as_the_graph_s_does_where_gt_is_the_truth():
+    submaps, made = graph()
+    true = dataclasses.replace(made, gt=made.truth)
+    starts = [loop_closure.starts("toy", submaps, SETTINGS, 2, draw) for draw in range(2)]
+    draws = tuple(loop_closure.close(submaps, made.truth, start, SPACING, SETTINGS, REGISTRATION) for start in starts)
+    rows, _ = measure((submaps, dataclasses.replace(true, draws=draws)), runs=4)
+    first = rows[rows["submap"] == rows["submap"].min()]  # its targets have not been registered themselves
+    for axis in "xy":
+        assert first[f"error_{axis}_m"].to_numpy() == pytest.approx(
+            first[f"placed_error_{axis}_m"].to_numpy(), abs=1e-4
+        )
+    assert rows[["given_m", "heading_m"]].to_numpy() == pytest.approx(0, abs=1e-9)
+
+
+def test_a_wrong_heading_errs_by_its_lever_to_the_common_ground(toy: tuple[list[submap.Submap], SurveyGraph]):
+    submaps, made = toy
+    gt = made.truth.copy()
+    gt[-1] = gt[-1] @ pose.matrix(np.zeros(3), 0.01)
+    rows, _ = measure((submaps, dataclasses.replace(made, gt=gt)), runs=4)
+    by_submap = rows.groupby("submap")["heading_m"].first()
+    # the line before is 10 m away: the middle of what both have is 5 m to the side, but for cells of 4 m
+    assert by_submap.iloc[-1] == pytest.approx(0.01 * 5, rel=0.15)
+    assert by_submap.iloc[:-1].to_numpy() == pytest.approx(0, abs=1e-9)
+    assert rows["given_m"].iloc[-1] == pytest.approx(0, abs=1e-9)
+
+
+def test_without_a_truth_only_gt_tells_errors(toy: tuple[list[submap.Submap], SurveyGraph]):
+    submaps, made = toy
+    rows, _ = measure((submaps, dataclasses.replace(made, truth=np.full_like(made.truth, np.nan))), runs=4)
+    assert rows[["error_x_m", "given_m", "heading_m"]].isna().all(axis=None)
+    assert rows[["gt_error_x_m", "placed_error_x_m"]].notna().all(axis=None)
+
+
+def test_with_yaw_there_is_its_error_too():
+    with_yaw = dataclasses.replace(REGISTRATION, dof="xyyaw")
+    rows, found = measure(graph(registration=with_yaw), with_yaw)
+    assert list(rows.columns) == closure_errors.schema(3).names
+    assert 0 < rows["placed_error_w_rad"].abs().max() < 0.05
+    for q in covariances(found, "pair").values():
+        assert q.shape == (3, 3)
+        assert np.sqrt(q[2, 2]) < 0.02
+    # nothing is said of the error that a registration without yaw would have
+    assert rows["heading_m"].isna().all()
+
+
+def test_the_number_of_workers_does_not_count(
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured, monkeypatch: pytest.MonkeyPatch
+):
+    for workers in ("1", "3"):
+        monkeypatch.setenv("POINTNETKL_WORKERS", workers)
+        for found, expected in zip(measure(toy), measured, strict=True):
+            pd.testing.assert_frame_equal(found, expected, check_exact=True)
+
+
+def test_a_survey_that_closes_no_loop_has_empty_tables():
+    rows, found = measure(graph(lines=1), runs=4)
+    assert len(rows) == len(found) == 0
+    assert list(rows.columns) == closure_errors.CLOSURES.names
+    assert list(found.columns) == table.SCHEMA.names
+
+
+def test_points_off_the_target_are_left_out_at_each_start_as_the_graph_leaves_them_out(
+    toy: tuple[list[submap.Submap], SurveyGraph],
+):
+    submaps, made = toy
+    ground = loop_closure.Ground(
+        pose.transform(made.truth[0], submaps[0].points), made.truth[0][:3, 3], 2.0, REGISTRATION
+    )
+    cloud = pose.transform(made.truth[7], submaps[7].points)
+    starts = np.pad(np.random.default_rng(1).normal(0, 1, (5, 2)), ((0, 0), (0, 1)))
+    for start, found in zip(starts, ground.lay_each(cloud, starts), strict=True):
+        expected = ground.lay(cloud, start)
+        assert found is not None
+        assert expected is not None
+        assert found[0] == pytest.approx(expected[0], abs=1e-6)
+
+
+def test_slopes_in_one_block_are_as_patchy_as_can_be():
+    points = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0)), -1).reshape(-1, 2)
+    assert terrain.patchiness(points, np.ones(1600)) == pytest.approx(0, abs=0.1)
+    corner = (points < 5).all(axis=1)
+    assert terrain.patchiness(points, corner.astype(float)) == pytest.approx(np.sqrt(15))
+    assert terrain.patchiness(points, np.zeros(1600)) == 0
+
+
+def test_where_no_placed_registration_matches_q_ij_is_the_label_by_halves(
+    toy: tuple[list[submap.Submap], SurveyGraph], monkeypatch: pytest.MonkeyPatch
+):
+    alone = toy[1].number[toy[1].closures.node[0]]
+    errors = closure_errors._errors
+
+    def lost(one: submap.Submap, *rest: Any) -> np.ndarray:
+        return errors(one, *rest) * (np.nan if one.number == alone else 1.0)
+
+    monkeypatch.setattr(closure_errors, "_errors", lost)
+    _, found = measure(toy, runs=4)
+    pair, split = covariances(found, "pair"), covariances(found, "split")
+    assert set(pair) == set(split)
+    assert (pair[alone] == split[alone]).all()
+    assert sum((pair[number] == split[number]).all() for number in pair) == 1
+    survey_graph.edge_covariances(toy[1].number, pair, toy[1].closures, "toy, pair")  # every edge has one
+
+
+def test_fewer_than_four_runs_are_refused():
+    with pytest.raises(ValueError, match="runs is 3, must be 4 or above"):
+        closure_errors.Settings(1, 3)
+
+
+def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: int) -> list[str]:
+    """Write what the stage reads; return its command."""
+    artifacts.write_table(folder / "submaps.parquet", submap.to_table(made[0][:submaps]), submap.POINTS, {})
+    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(made[1]), {"spacing_m": SPACING})
+    sections = {
+        "calibrate": closure_errors.Settings(5, 4),
+        "graph": SETTINGS,
+        "label": LABEL,
+        "registration": REGISTRATION,
+    }
+    parameters = {name: settings.as_metadata(values) for name, values in sections.items()}
+    (folder / "params.yaml").write_text(yaml.safe_dump(parameters))
+    command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]
+    chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
+    (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(chosen), 0.01, {}))
+    command += ["--graph", "graph.npz", "--submaps", "submaps.parquet", "--model", "mine.pt"]
+    return [*command, "--closures", "out/toy.parquet", "--covariances", "out/toy_covariances.parquet"]
+
+
+def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGraph], tmp_path: Path):
+    subprocess.run(write(tmp_path, toy, len(toy[0])), cwd=tmp_path, check=True, capture_output=True)
+    rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_errors.CLOSURES)
+    found = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
+    assert len(rows) == sum(len(each.node) for each in toy[1].draws)
+    assert set(found["method"]) == {"split", "pair", "mine_overlap"}
+
+
+def test_submaps_of_another_graph_are_refused_in_one_sentence(
+    toy: tuple[list[submap.Submap], SurveyGraph], tmp_path: Path
+):
+    done = subprocess.run(write(tmp_path, toy, 5), cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.strip() == ("error: toy: the graph has 12 submaps, not the 5 given; run dvc repro graph@toy")
+    assert not (tmp_path / "out").exists()

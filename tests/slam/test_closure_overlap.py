@@ -1,0 +1,77 @@
+"""Covariances from the ground in common: of which points, and about which middle."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from toy_survey import REGISTRATION, SPACING, SWATH, graph
+
+from pointnetkl.registration.covariance import table
+from pointnetkl.slam.closures import overlap
+from pointnetkl.surveys import pose
+from pointnetkl.surveys.submap import Submap
+
+REACH = 2 * SPACING
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A method that remembers what it was asked about."""
+
+    name: str = "asked"
+    dimensions: int = 2
+    seen: dict[int, Submap] = field(default_factory=dict)
+
+    def covariance(self, submap: Submap) -> np.ndarray:
+        self.seen[submap.number] = submap
+        return np.diag([1.0, 2.0, 1e-4][: self.dimensions])
+
+
+def test_a_method_sees_the_points_over_the_targets_and_no_others():
+    submaps, made = graph(2, 3, apart=12.0)
+    asked = Asked()
+    found = overlap.tabulate([asked], made, submaps, REACH)
+    assert found["submap"].tolist() == made.closures.node.tolist()
+    assert set(found["method"]) == {"asked_overlap"}
+    # the second line lies 12 m beside the first, one way round, and its swath is as wide
+    for number, part in asked.seen.items():
+        north = pose.transform(made.gt[number], part.points)[:, 1]
+        assert 0.6 * len(submaps[number].points) < len(part.points) < 0.9 * len(submaps[number].points)
+        assert north.max() < SWATH / 2 + REACH + 1.0
+        assert pose.transform(made.gt[number], submaps[number].points)[:, 1].max() > SWATH / 2 + 10.0
+
+
+def test_where_all_of_a_submap_was_registered_all_of_it_is_seen():
+    submaps, made = graph(2, 3, apart=12.0)
+    asked = Asked()
+    overlap.tabulate([asked], made, submaps, None)
+    assert all(part is submaps[number] for number, part in asked.seen.items())
+
+
+def test_ground_that_hardly_has_points_leaves_the_whole_submap():
+    submaps, made = graph(2, 3)
+    asked = Asked()
+    overlap.tabulate([asked], made, submaps, 1e-6)
+    assert [len(part.points) for part in asked.seen.values()] == [len(submaps[n].points) for n in asked.seen]
+
+
+def test_with_yaw_a_covariance_is_moved_to_the_middle_of_the_whole_submap():
+    submaps, made = graph(2, 3, apart=12.0, registration=replace(REGISTRATION, dof="xyyaw"))
+    asked = Asked(dimensions=3)
+    found = overlap.tabulate([asked], made, submaps, REACH)
+    rng = np.random.default_rng(3)
+    for number, q in zip(found["submap"], table.to_matrices(found), strict=True):
+        away = submaps[number].points[:, :2].mean(axis=0) - asked.seen[number].points[:, :2].mean(axis=0)
+        errors = rng.normal(0.0, np.sqrt([1.0, 2.0, 1e-4]), (200_000, 3))
+        moved = errors[:, :2] + pose.turned(np.tile(away, (len(errors), 1)), errors[:, 2]) - away
+        expected = np.cov(np.column_stack([moved, errors[:, 2]]), rowvar=False)
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        assert q / scale == pytest.approx(expected / scale, abs=0.01)
+        assert np.hypot(*away) > 3.0
+
+
+def test_a_survey_that_closes_no_loop_has_an_empty_table():
+    submaps, made = graph(1, 4)
+    found = overlap.tabulate([Asked()], made, submaps, REACH)
+    assert found.empty
+    assert found.columns.tolist() == table.SCHEMA.names

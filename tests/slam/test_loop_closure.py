@@ -1,0 +1,252 @@
+"""Loop closures: which submaps close one, what their edges measure, and how well."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
+
+from pointnetkl.slam.closures import graph_construction, loop_closure
+from pointnetkl.slam.graph import footprint, survey_graph
+from pointnetkl.slam.graph.survey_graph import Closures
+from pointnetkl.surveys import pose
+
+WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
+SUBMAPS = pd.DataFrame({"time_s": [1.0], "yaw_rad": [np.pi]})
+HEADING = pd.DataFrame({"time_s": [0.0, 2.0], "yaw_rad": [3.1, -3.1]})
+TRAJECTORY = pd.DataFrame({"time_s": [0.0, 2.0], "x_m": [0.0, 4.0], "y_m": 1.0, "z_m": -5.0, "yaw_rad": [3.1, -3.1]})
+
+SQUARE = np.stack(np.meshgrid(np.arange(0.5, 10), np.arange(0.5, 10)), -1).reshape(-1, 2)
+
+
+def close(lines: int, along: int, apart: float = 10.0) -> tuple[Closures, np.ndarray]:
+    submaps, truth = sail(lines, along, apart)
+    starts = loop_closure.starts("toy", submaps, SETTINGS)
+    return loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, REGISTRATION), truth
+
+
+def test_coverage_is_the_share_of_cells_in_common():
+    a, b = footprint.cells(SQUARE, 1.0), footprint.cells(SQUARE + np.array([4.0, 0.0]), 1.0)
+    assert footprint.coverage(a, a) == 1.0
+    assert footprint.coverage(a, b) == pytest.approx(0.6)
+
+
+def test_a_small_footprint_inside_a_large_one_is_covered_but_does_not_cover():
+    small, large = footprint.cells(SQUARE[:20], 1.0), footprint.cells(SQUARE, 1.0)
+    assert footprint.coverage(small, large) == 1.0
+    assert footprint.coverage(large, small) == pytest.approx(0.2)
+
+
+def test_cells_are_told_apart_on_either_side_of_the_origin():
+    corners = np.array([[0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+    assert len(footprint.cells(corners, 1.0)) == 4
+
+
+def test_a_loop_needs_the_asked_coverage():
+    footprints = footprint.Footprints(1.0)
+    footprints.add(SQUARE)
+    assert footprints.covering(SQUARE + np.array([4.0, 0.0]), 0.6, among=1).tolist() == [0]
+    assert footprints.covering(SQUARE + np.array([5.0, 0.0]), 0.6, among=1).tolist() == []
+    assert footprints.covering(SQUARE, 0.6, among=0).tolist() == []
+
+
+def test_the_submap_just_before_never_closes_a_loop():
+    # each submap lies over all the ones before it
+    submaps, truth = sail(1, 1)
+    pile = [dataclasses.replace(submaps[0], number=k) for k in range(3)]
+    starts = np.zeros((3, 2))
+    found = loop_closure.close(pile, truth.repeat(3, axis=0), starts, SPACING, SETTINGS, REGISTRATION)
+    assert [found.edges.target.tolist(), found.edges.source.tolist()] == [[0], [2]]
+
+
+def test_lines_too_far_apart_close_no_loops_and_a_single_line_closes_none():
+    assert len(close(2, 3, apart=30.0)[0].node) == 0
+    found, truth = close(1, 3)
+    assert survey_graph.errors(found, truth).shape == (0, 2)
+    assert survey_graph.registration_errors(found, truth).shape == (0, 2)
+
+
+def test_a_loop_closure_measures_the_relative_pose_of_its_submaps():
+    found, truth = close(3, 4)
+    assert len(found.node) >= 6
+    edges = found.edges
+    assert np.abs(survey_graph.errors(found, truth)).max() < 0.2
+    exact = np.linalg.inv(truth[edges.target]) @ truth[edges.source]
+    # z, roll, pitch and yaw are those of the poses handed in
+    assert edges.measured[:, :3, :3] == pytest.approx(exact[:, :3, :3])
+    assert edges.measured[:, 2, 3] == pytest.approx(exact[:, 2, 3])
+
+
+def test_every_registration_starts_elsewhere_by_a_draw_of_the_prior():
+    submaps, _ = sail(3, 100 // 3)
+    draws = loop_closure.starts("toy", submaps, dataclasses.replace(SETTINGS, prior_variance_m2=9.0))
+    assert draws.std() == pytest.approx(3.0, rel=0.2)
+    # a submap's own draw, whatever the others are
+    assert (
+        loop_closure.starts("toy", submaps[7:9], SETTINGS) == loop_closure.starts("toy", submaps, SETTINGS)[7:9]
+    ).all()
+
+
+def test_a_corrected_submap_replaces_the_one_that_was_handed_in():
+    submaps, truth = sail(3, 1)
+    stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
+    poses[2, :2, 3] += [1.0, 0.5]  # navigation errs here, and only here
+    found = loop_closure.close(stack, poses, np.zeros((5, 2)), SPACING, SETTINGS, REGISTRATION)
+    assert found.correction[0] == pytest.approx([-1.0, -0.5], abs=1e-2)
+    assert found.edges.measured[:, :2, 3] == pytest.approx(np.zeros((len(found.edges.source), 2)), abs=2e-2)
+
+
+def test_with_yaw_a_loop_closure_measures_that_too():
+    submaps, truth = sail(3, 4)
+    starts = loop_closure.starts("toy", submaps, SETTINGS, 3)
+    found = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, WITH_YAW)
+    e = survey_graph.errors(found, truth)
+    assert e.shape == (len(found.edges.source), 3)
+    assert np.abs(e).max(axis=0) == pytest.approx(np.zeros(3), abs=0.2)
+    assert 0 < np.abs(e[:, 2]).max() < 0.01
+    assert np.abs(starts[found.node] - found.start[:, :3]).max(axis=0)[2] == 0
+    assert starts[:, :2] == pytest.approx(loop_closure.starts("toy", submaps, SETTINGS))
+
+
+def test_a_submap_that_navigation_turned_is_turned_back_about_its_own_middle():
+    submaps, truth = sail(3, 1)
+    stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
+    poses[2] = truth[0] @ pose.matrix(np.array([1.0, 0.5, 0.0]), 0.05)  # navigation errs here, and only here
+    found = loop_closure.close(stack, poses, np.zeros((5, 3)), SPACING, SETTINGS, WITH_YAW)
+    assert found.correction[0] == pytest.approx([-1.0, -0.5, -0.05], abs=1e-2)
+    exact = np.tile(np.eye(4), (len(found.edges.source), 1, 1))
+    assert found.edges.measured == pytest.approx(exact, abs=2e-2)
+
+
+def test_errors_with_yaw_are_about_the_middle_of_the_source_s_points():
+    submaps, truth = sail(2, 3)
+    away = [dataclasses.replace(s, points=s.points + np.array([30.0, 20.0, 0.0])) for s in submaps]
+    poses = truth @ pose.matrix(np.array([-30.0, -20.0, 0.0]), 0.0)  # the same ground, from frames elsewhere
+    ours, theirs = (
+        survey_graph.errors(loop_closure.close(s, T, np.zeros((6, 3)), SPACING, SETTINGS, WITH_YAW), T)
+        for s, T in ((submaps, truth), (away, poses))
+    )
+    assert theirs == pytest.approx(ours, abs=1e-3)
+
+
+def test_drift_in_yaw_is_carried_on_to_where_the_next_submap_is():
+    submaps, truth = sail(2, 3, apart=4.0)
+    navigation = pose.matrix(np.array([0.5, -0.3, 0.0]), 0.02) @ truth
+    navigation[:3] = truth[:3]  # the first line is right, all of the second is off by one motion
+    found = loop_closure.close(submaps, navigation, None, SPACING, SETTINGS, WITH_YAW)
+    assert found.node.tolist() == [4, 5]
+    first, second = np.abs(found.start - found.correction).max(axis=1)
+    assert second < 0.2 < 0.5 < first
+    assert np.abs(survey_graph.errors(found, truth)).max(axis=0) == pytest.approx([0, 0, 0], abs=0.2)
+
+
+def test_a_graph_with_yaw_comes_back_from_its_file_and_refuses_covariances_without():
+    _, made = graph(4, 4, registration=WITH_YAW)
+    arrays = survey_graph.to_arrays(made)
+    again = survey_graph.to_arrays(survey_graph.from_arrays(arrays))
+    assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
+    assert arrays["registration_error_truth_m"].shape == (sum(len(draw.node) for draw in made.draws), 3)
+    assert survey_graph.summary(made)["gt_truth_rmse_xyz_m"] < survey_graph.summary(made)["navigation_truth_rmse_xyz_m"]
+    with pytest.raises(survey_graph.SurveyGraphError, match="registrations find 3 numbers"):
+        survey_graph.edge_covariances(made.number, {int(n): np.eye(2) for n in made.number}, made.closures, "toy")
+
+
+def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():
+    submaps, truth = sail(2, 3)
+    flat = [dataclasses.replace(s, points=s.points * [1, 1, 0] - [0, 0, 40]) for s in submaps]
+    starts, errors = np.zeros((6, 2)), []
+    for factor in (2.0, None):
+        settings = dataclasses.replace(SETTINGS, overlap_factor=factor)
+        found = loop_closure.close(flat, truth, starts, SPACING, settings, REGISTRATION)
+        errors.append(np.abs(survey_graph.errors(found, truth)).max())
+    assert errors[0] < 2.0 < 5.0 < errors[1]
+
+
+def test_errors_are_in_the_source_frame():
+    found, truth = close(2, 3)
+    missed = truth.copy()
+    missed[:, :2, 3] += np.eye(2)[0] * (np.arange(6) >= 3)[:, None]  # the whole second line, by 1 m east
+    change = survey_graph.errors(found, missed) - survey_graph.errors(found, truth)
+    # that line heads west, so east is minus its x
+    assert change == pytest.approx(np.tile([-1.0, 0.0], (len(change), 1)), abs=1e-9)
+
+
+def test_gt_is_closer_to_the_truth_than_navigation():
+    _, made = graph(4, 4)
+    figures = survey_graph.summary(made)
+    assert figures["gt_truth_rmse_xyz_m"] < 0.7 * figures["navigation_truth_rmse_xyz_m"]
+
+
+def test_a_graph_comes_back_from_its_file_and_is_made_the_same_twice():
+    arrays = survey_graph.to_arrays(graph()[1])
+    for again in (survey_graph.to_arrays(survey_graph.from_arrays(arrays)), survey_graph.to_arrays(graph()[1])):
+        assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
+
+
+def test_a_graph_without_truth_has_errors_that_are_not_numbers():
+    arrays = survey_graph.to_arrays(graph(known=False)[1])
+    assert np.isnan(arrays["registration_error_truth_m"]).all()
+    assert np.isfinite(arrays["registration_error_gt_m"]).all()
+    assert survey_graph.summary(survey_graph.from_arrays(arrays))["gt_truth_rmse_xyz_m"] is None
+
+
+def test_truth_is_interpolated_through_the_turn_of_the_compass():
+    T = graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY)[0]
+    assert T[:3, 3] == pytest.approx([2.0, 1.0, -5.0])
+    assert abs(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(np.pi)
+
+
+def test_a_submap_is_turned_by_the_error_of_the_heading_and_not_onto_the_heading():
+    crabbing = SUBMAPS.assign(yaw_rad=3.0)  # its track; the vehicle points elsewhere
+    wrong = HEADING.assign(yaw_rad=HEADING["yaw_rad"] + 0.05)
+    T = graph_construction.truth_at(crabbing, wrong, TRAJECTORY)[0]
+    assert np.arctan2(T[1, 0], T[0, 0]) == pytest.approx(2.95)
+
+
+def test_a_truth_that_does_not_reach_a_submap_is_refused():
+    late = SUBMAPS.assign(time_s=3.0)
+    with pytest.raises(graph_construction.GraphConstructionError, match="submap is at 3"):
+        graph_construction.truth_at(late, HEADING, TRAJECTORY)
+    assert np.isnan(graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY[:0])).all()
+
+
+def test_draws_start_elsewhere_and_the_first_does_not_depend_on_how_many_there_are():
+    submaps, truth = sail(2, 3)
+    q = {s.number: 0.01 * np.eye(2) for s in submaps}
+    one, three = (
+        graph_construction.build(
+            "toy", submaps, truth, truth, q, SPACING, dataclasses.replace(SETTINGS, draws=draws), REGISTRATION
+        )
+        for draws in (1, 3)
+    )
+    assert [len(made.draws) for made in (one, three)] == [1, 3]
+    assert three.closures.correction.tobytes() == one.closures.correction.tobytes()
+    starts = [draw.start for draw in three.draws]
+    assert all(np.abs(a - b).min() > 0 for a, b in itertools.combinations(starts, 2))
+
+
+def test_a_submap_without_covariance_that_closes_a_loop_is_named():
+    _, made = graph()
+    q = {int(n): np.eye(2) for n in made.number if n != made.closures.node[0]}
+    with pytest.raises(survey_graph.SurveyGraphError, match=f"submap {made.closures.node[0]} closes"):
+        survey_graph.edge_covariances(made.number, q, made.closures, "toy")
+
+
+def test_submaps_without_poses_are_refused():
+    submaps, truth = sail(1, 3)
+    with pytest.raises(loop_closure.LoopClosureError, match="3 submaps and 2 poses"):
+        loop_closure.close(submaps, truth[:2], None, SPACING, SETTINGS, REGISTRATION)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("cell_factor", 1e-9), ("cell_factor", 1e9), ("prior_variance_m2", 1e300), ("prior_variance_m2", -1.0)),
+        *(("prior_yaw_sigma_rad", 9.0), ("coverage", 1.1), ("coverage", 0.0), ("overlap_factor", 0.0), ("draws", 0)),
+    ],
+)
+def test_settings_without_sense_are_refused(name: str, value: float):
+    with pytest.raises(ValueError, match=f"^{name} is"):
+        dataclasses.replace(SETTINGS, **{name: value})

@@ -1,0 +1,66 @@
+"""The front end's gate: how much submaps cover of each other, and what it joined of what it should have."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+from toy_survey import SETTINGS, SPACING, graph
+
+from pointnetkl.slam.graph import footprint, survey_graph
+from pointnetkl.slam.robust import loop_gate
+from pointnetkl.surveys import pose
+
+SUBMAPS, GRAPH = graph(3, 4)
+CLOUDS = [s.points for s in SUBMAPS]
+CELL = SETTINGS.cell_factor * SPACING
+
+
+def test_coverages_are_those_of_the_footprints_pair_by_pair():
+    found = loop_gate.coverages(CLOUDS, GRAPH.truth, CELL)
+    cells = [footprint.cells(pose.transform(T, p), CELL) for T, p in zip(GRAPH.truth, CLOUDS, strict=True)]
+    assert np.diag(found).tolist() == [1.0] * len(cells)
+    for i, k in ((7, 0), (0, 7), (8, 1), (11, 0), (3, 2)):
+        assert found[i, k] == footprint.coverage(cells[i], cells[k])
+
+
+def table(made: survey_graph.SurveyGraph = GRAPH, corrupted: list[np.ndarray] | None = None) -> pd.DataFrame:
+    return loop_gate.table(made, CLOUDS, corrupted or [], CELL, SETTINGS.coverage)
+
+
+def test_algorithm_1_joins_the_pairs_that_cover_but_for_those_at_the_edge():
+    # a draw moves submaps a little once it has registered them
+    found = table(dataclasses.replace(GRAPH, truth=GRAPH.gt)).query("at == 'graph'")
+    assert found["draw"].tolist() == [0, 1]
+    assert (found["both"] >= 0.9 * found["joined"]).all()
+    assert (found["both"] >= 0.9 * found["covering"]).all()
+
+
+def test_at_the_true_poses_the_gate_makes_no_mistake_and_at_others_it_does():
+    far = GRAPH.truth.copy()
+    far[4:8, 1, 3] += 15.0
+    found = table(corrupted=[GRAPH.truth, far]).query("at == 'corrupted'").reset_index()
+    assert found.loc[0, "joined"] == found.loc[0, "both"] == found.loc[0, "covering"] > 0
+    assert found.loc[1, "both"] < found.loc[1, "covering"]
+
+
+def test_a_gate_that_joined_half_is_told_so():
+    edges = GRAPH.closures.edges
+    some = dataclasses.replace(edges, target=edges.target[::2], source=edges.source[::2], measured=edges.measured[::2])
+    half = dataclasses.replace(GRAPH, draws=(dataclasses.replace(GRAPH.closures, edges=some),))
+    asked, found = table().iloc[0], table(half).iloc[0]
+    assert found["joined"] == len(some.source)
+    assert found["covering"] == asked["covering"]
+    assert 0.4 < found["both"] / asked["both"] < 0.7
+
+
+def test_neighbours_on_the_track_are_no_loops():
+    n = len(CLOUDS)
+    together = np.tile(GRAPH.truth[0], (n, 1, 1))
+    assert table(corrupted=[together]).iloc[-1]["joined"] == (n - 1) * (n - 2) / 2
+
+
+def test_without_truth_only_what_was_joined_is_known():
+    found = table(dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan)))
+    assert (found["joined"] > 0).all()
+    assert found[["covering", "both"]].isna().all(axis=None)
+    assert list(found.columns) == loop_gate.GATE.names
