@@ -26,7 +26,7 @@ from divergence import NEAR_M, Apart, Pair
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import text_table
-from pointnetkl.workflow import command, settings
+from pointnetkl.workflow import command, parameters
 
 KL_FLOOR_M2 = 0.01  # as wherever a KL is judged
 KL_GOAL = 1e-3
@@ -39,8 +39,8 @@ def main(arguments: argparse.Namespace) -> None:
     """Compare on every submap, print the table and the runs apart; with --json a line of JSON after them."""
     check(arguments)
     begun = time.perf_counter()
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    production = settings.read(arguments.params, "registration", gicp.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    production = parameters.read(arguments.params, "registration", gicp.Settings)
     rows: list[Row] = []
     apart: list[Row] = []
     for ground in tqdm(grounds(arguments), desc="agreement", unit="submap", dynamic_ncols=True):

@@ -23,16 +23,16 @@ from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
 from pointnetkl.training import dataset, device
 from pointnetkl.training.dataset import Samples
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow import study as studies
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Judge every survey, then leave out one class after the other."""
     params, folders = arguments.params, results.Folders(arguments.data, Path("models"), Path("reports"))
-    chosen = settings.read(params, "report", summary.Settings)
+    chosen = parameters.read(params, "report", summary.Settings)
     study = studies.read(params)
-    simulate = settings.read(params, "simulate", dict[str, simulation.Settings])
+    simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
     known = [name for name in study.train if (folders.data / f"training/{name}").is_dir()]
     slopes = {name: of_survey(folders, name, simulate) for name in [*known, *judged]}
@@ -104,7 +104,7 @@ def left_out(
 ) -> list[dict[str, Any]]:
     """Return mean KL on each class of `network` that was trained without it, beside one trained with all."""
     stored = model_file.read(arguments.network)
-    how = settings.read(arguments.params, "models.network.train", training.Settings)
+    how = parameters.read(arguments.params, "models.network.train", training.Settings)
     samples, _ = dataset.read(arguments.data / "training", known)
     describe = stored.model.describe
     if describe is None:

@@ -30,7 +30,7 @@ from contest import Contest, Row
 from pointnetkl.methods import runtime
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.reporting import text_table
-from pointnetkl.workflow import command, settings
+from pointnetkl.workflow import command, parameters
 
 LABEL_RUNS = 3000  # of the paper: what preparing a submap is shared out over
 KL_FLOOR_M2 = 0.01  # as wherever a KL is judged
@@ -45,8 +45,8 @@ COLUMNS = (
 def main(arguments: argparse.Namespace) -> None:
     """Time every engine on every submap, in turns, and print a table; with --json a line of JSON after it."""
     check(arguments)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     grounds = submaps.chosen(arguments.params, arguments.terrain, arguments.points, arguments.seed)
     contests = {name: Contest(ground, label, registration, arguments.open3d) for name, ground in grounds.items()}
     table = race(contests, arguments)

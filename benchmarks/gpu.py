@@ -29,7 +29,7 @@ from pointnetkl.registration.covariance import gaussian
 from pointnetkl.registration.gicp import registration
 from pointnetkl.registration.gicp.cuda import engine as cuda
 from pointnetkl.reporting import text_table
-from pointnetkl.workflow import command, settings
+from pointnetkl.workflow import command, parameters
 
 POINTS = 6553  # of the paper's mean submap
 PAPER_SUBMAPS, PAPER_RUNS, GOAL_S = 9080, 3000, 120.0
@@ -43,8 +43,8 @@ class Bench:
 
     def __init__(self, arguments: argparse.Namespace):
         """Draw the submaps."""
-        self.label = settings.read(arguments.params, "label", monte_carlo.Settings)
-        self.registration = settings.read(arguments.params, "registration", gicp.Settings)
+        self.label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+        self.registration = parameters.read(arguments.params, "registration", gicp.Settings)
         self.grounds = submaps.chosen(arguments.params, arguments.terrain, arguments.points, arguments.seed)
         self._seed = arguments.seed
 

@@ -12,7 +12,7 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import text_table
 from pointnetkl.surveys import submap
 from pointnetkl.training import dataset
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _SPIKES = 0.01, 10.0  # share of the points, metres
@@ -32,7 +32,7 @@ CHANGES: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
 
 def main(arguments: argparse.Namespace) -> None:
     """Print a table of surveys and one of changes, as CSV."""
-    floor = settings.read(arguments.params, "report.kl_floor_m2", float)
+    floor = parameters.read(arguments.params, "report.kl_floor_m2", float)
     model = estimator.CovarianceEstimator.load(arguments.model)
     surveys = {name: read(arguments.data, name) for name in arguments.surveys}
     judged = {name: [model.judge(points) for points in clouds] for name, (clouds, _) in surveys.items()}

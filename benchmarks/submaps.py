@@ -9,7 +9,7 @@ from pointnetkl import simulation
 from pointnetkl.methods.fitted import structure_tensor
 from pointnetkl.registration import gicp
 from pointnetkl.simulation import seabed
-from pointnetkl.workflow import settings, study
+from pointnetkl.workflow import parameters, study
 from pointnetkl.workflow.errors import PointNetKLError
 
 POINTS = 6534  # of a submap: those of the specification's measurements; the paper's mean is 6553
@@ -39,8 +39,8 @@ def ladder(params: Path, survey: str, drawn: int, points: int, seed: int) -> lis
         SettingsError: the parameter file has no such survey.
         GicpError: a submap of so few points cannot be registered.
     """
-    terrain = settings.read(params, f"simulate.{survey}.terrain", seabed.Settings)
-    registration = settings.read(params, "registration", gicp.Settings)
+    terrain = parameters.read(params, f"simulate.{survey}.terrain", seabed.Settings)
+    registration = parameters.read(params, "registration", gicp.Settings)
     spacing_m = study.survey(params, survey).point_spacing_m
     clouds = [simulation.patch(terrain, points, spacing_m, np.random.default_rng([seed, k])) for k in range(drawn)]
     grounds = [Ground(survey, spacing_m, _gentlest_slope(cloud, registration), cloud) for cloud in clouds]

@@ -18,37 +18,37 @@ from pointnetkl.models import pointnetkl as network
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.text_table import Block
 from pointnetkl.training import checkpoint, dataset, device
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 _CHECKPOINT_S = 60.0
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read all files, train, test, write everything."""
-    kind = settings.read(arguments.params, "models.pointnetkl.network", network.Settings)
-    chosen = settings.read(arguments.params, "models.pointnetkl.train", training.Settings)
+    kind = parameters.read(arguments.params, "models.pointnetkl.network", network.Settings)
+    chosen = parameters.read(arguments.params, "models.pointnetkl.train", training.Settings)
     judging = {
-        name: settings.read(arguments.params, f"report.{name}", of)
+        name: parameters.read(arguments.params, f"report.{name}", of)
         for name, of in (("kl_floor_m2", float), ("block_submaps", int), ("seed", int))
     }
     files = read([*arguments.train, *arguments.test])
     learned, tests = ({path.stem: files[path.stem] for path in paths} for paths in (arguments.train, arguments.test))
     check_apart(learned, tests)
     sets = dataset.split(consolidated.samples(learned), chosen.validation_share, chosen.validation_blocks, chosen.seed)
-    parameters = {
+    metadata = {
         "surveys": list(learned),
         "tests": list(tests),
         "sha256": {path.stem: digest(path) for path in (*arguments.train, *arguments.test)},
-        "models": {"pointnetkl": {"network": settings.as_metadata(kind), "train": settings.as_metadata(chosen)}},
+        "models": {"pointnetkl": {"network": parameters.as_metadata(kind), "train": parameters.as_metadata(chosen)}},
         "report": judging,
     }
 
-    kept = checkpoint.Checkpoint(arguments.out / "checkpoints", checkpoint.name(parameters, sets), _CHECKPOINT_S)
+    kept = checkpoint.Checkpoint(arguments.out / "checkpoints", checkpoint.name(metadata, sets), _CHECKPOINT_S)
     model, outcome = train(kind, chosen, sets, kept)
     table_2 = consolidated_tables.table_2(judge(model, sets, tests), **judging)
     write_tables(arguments.out, {"table_1": consolidated_tables.table_1(files), "table_2": table_2})
     artifacts.write_bytes(arguments.out / "loss.csv", outcome.history.to_csv(index=False, float_format="%.6g").encode())
-    made_by = {**parameters, "best_step": outcome.best_step, "steps": outcome.steps}
+    made_by = {**metadata, "best_step": outcome.best_step, "steps": outcome.steps}
     stored = model_file.to_bytes("pointnetkl", model, consolidated.VOXEL, made_by)
     artifacts.write_bytes(arguments.out / "pointnetkl.pt", stored)
     artifacts.write_json(arguments.out / "parameters.json", made_by)

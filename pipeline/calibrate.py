@@ -12,16 +12,16 @@ from pointnetkl.slam.closures import errors as closure_errors
 from pointnetkl.slam.closures import loop_closure, overlap
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and its submaps; write a row per registration, and a table of covariances."""
     name = arguments.survey
-    chosen = settings.read(arguments.params, "calibrate", closure_errors.Settings)
-    graph = settings.read(arguments.params, "graph", loop_closure.Settings)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
+    graph = parameters.read(arguments.params, "graph", loop_closure.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     file = graph_file.read(arguments.graph, name, registration.dimensions)
     made, made_with = file.graph, file.made_with
     artifacts.require_survey(name, arguments.submaps)
@@ -31,7 +31,7 @@ def main(arguments: argparse.Namespace) -> None:
     models = trained.load_all([arguments.model], label, registration)
     reach = None if graph.overlap_factor is None else graph.overlap_factor * how.spacing_m
     covariances = pd.concat([measured, overlap.tabulate(models, made, submaps, reach)], ignore_index=True)
-    metadata = {"survey": name, "calibrate": settings.as_metadata(chosen), "graph": made_with}
+    metadata = {"survey": name, "calibrate": parameters.as_metadata(chosen), "graph": made_with}
     dimensions = registration.dimensions
     artifacts.write_table(arguments.closures, rows, closure_errors.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)

@@ -7,19 +7,19 @@ from pointnetkl.methods import estimated
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import method, table
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
-    chosen = settings.read(arguments.params, "estimate", estimated.Settings)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "estimate", estimated.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
     covariances = method.tabulate(estimated.methods(labels, chosen, label, registration), submaps)
-    parameters = {"estimate": chosen, "label": label, "registration": registration}
-    params = {section: settings.as_metadata(values) for section, values in parameters.items()}
+    sections = {"estimate": chosen, "label": label, "registration": registration}
+    params = {section: parameters.as_metadata(values) for section, values in sections.items()}
     metadata = {"survey": arguments.survey, "params": params}
     artifacts.write_table(arguments.covariances, covariances, table.schema(registration.dimensions), metadata)
 

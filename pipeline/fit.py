@@ -7,20 +7,20 @@ from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting, learned
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings, study
+from pointnetkl.workflow import artifacts, command, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
-    chosen = settings.read(arguments.params, "fit", fitting.Settings)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "fit", fitting.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     how = SelfRegistration(chosen.seed, label, registration)
     surveys = list(study.read(arguments.params).train)
     fits = learned.fit(read_training(arguments.training, surveys, how), chosen)
     sections = {"fit": chosen, "label": label, "registration": registration}
-    parameters = {section: settings.as_metadata(values) for section, values in sections.items()}
-    learned.write(arguments.fits, fits, {**parameters, "surveys": surveys})
+    metadata = {section: parameters.as_metadata(values) for section, values in sections.items()}
+    learned.write(arguments.fits, fits, {**metadata, "surveys": surveys})
     for name, each in fits.fits.items():
         numbers = ", ".join(f"{key} {value:.4g}" for key, value in each.numbers.items())
         print(f"{name}: {numbers}; mean KL {each.mean_kl:.4f} nats over {fits.submaps} training submaps")

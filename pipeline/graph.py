@@ -12,14 +12,14 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.slam.closures import graph_construction, loop_closure
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.surveys import pose_table, submap, survey
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read submaps, poses, labels and truth; write the graph, and how it fared as its metadata."""
     name = arguments.survey
-    graph = settings.read(arguments.params, "graph", loop_closure.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    graph = parameters.read(arguments.params, "graph", loop_closure.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     tables = (arguments.submaps, arguments.poses, arguments.labels, arguments.pings, arguments.truth)
     artifacts.require_survey(name, *tables)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
@@ -36,8 +36,8 @@ def main(arguments: argparse.Namespace) -> None:
     metadata = {
         "survey": name,
         "spacing_m": spacing,
-        "graph": settings.as_metadata(graph),
-        "registration": settings.as_metadata(registration),
+        "graph": parameters.as_metadata(graph),
+        "registration": parameters.as_metadata(registration),
         "summary": survey_graph.summary(made),
     }
     artifacts.write_arrays(arguments.graph, survey_graph.to_arrays(made), metadata)

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from pointnetkl import readers
 from pointnetkl.surveys import survey
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the raw files and the truth; write pings, soundings and truth in one map frame."""
-    how = settings.read(arguments.params, "ingest", readers.Settings)
+    how = parameters.read(arguments.params, "ingest", readers.Settings)
     with artifacts.TableWriter(arguments.out / "soundings.parquet", survey.SOUNDINGS) as soundings:
         found = readers.read(arguments.raw, how, soundings.write, arguments.out)
         truth = readers.read_truth(arguments.truth, found)
@@ -20,7 +20,7 @@ def main(arguments: argparse.Namespace) -> None:
             "crs": found.crs,
             "origin": list(found.origin),
             "report": found.report,
-            "params": settings.as_metadata(how),
+            "params": parameters.as_metadata(how),
         }
     for name, table, schema in (("pings", found.pings, survey.PINGS), ("truth", truth, survey.TRAJECTORY)):
         artifacts.write_table(arguments.out / f"{name}.parquet", table, schema, soundings.metadata)

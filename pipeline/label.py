@@ -8,13 +8,13 @@ import pandas as pd
 
 from pointnetkl.labels import shards, warnings
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.workflow import artifacts, command, settings, study
+from pointnetkl.workflow import artifacts, command, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's labels and error samples."""
-    chosen = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     runs = study.survey(arguments.params, arguments.survey).label_runs
     submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # a worker may stand elsewhere
     job = shards.Job(
@@ -24,19 +24,19 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
     schema = monte_carlo.schema(registration.dimensions)
     rows = pd.DataFrame([one.row for one in labels], columns=schema.names)
-    parameters = {
+    metadata = {
         "survey": arguments.survey,
         "copy": chosen.copy,
-        "label": settings.as_metadata(chosen),
-        "registration": settings.as_metadata(registration),
+        "label": parameters.as_metadata(chosen),
+        "registration": parameters.as_metadata(registration),
     }
     samples = {
         "submap": rows["submap"].to_numpy(np.int32),
         "errors": padded([one.errors for one in labels]),
         "held_out": np.stack([one.held_out for one in labels]),
     }
-    artifacts.write_table(arguments.labels, rows, schema, parameters)
-    artifacts.write_arrays(arguments.errors, samples, parameters)
+    artifacts.write_table(arguments.labels, rows, schema, metadata)
+    artifacts.write_arrays(arguments.errors, samples, metadata)
     prior_sigma_m, target = chosen.prior_variance_m2**0.5, chosen.target_relative_error
     print(*warnings.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")
 

@@ -9,21 +9,21 @@ from pointnetkl.models import trained
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import method, table
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
-    chosen = settings.read(arguments.params, "predict", learned.Settings)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "predict", learned.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     how = SelfRegistration(chosen.seed, label, registration)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     fitted = learned.methods(learned.read(arguments.fits, registration.dimensions), how)
     models = trained.load_all(arguments.models, label, registration)
     covariances = method.tabulate([*fitted, *models], submaps)
     sections = {"predict": chosen, "label": label, "registration": registration}
-    params = {section: settings.as_metadata(values) for section, values in sections.items()}
+    params = {section: parameters.as_metadata(values) for section, values in sections.items()}
     metadata = {"survey": arguments.survey, "params": params}
     artifacts.write_table(arguments.covariances, covariances, table.schema(registration.dimensions), metadata)
 

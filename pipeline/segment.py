@@ -9,13 +9,13 @@ import numpy as np
 from pointnetkl import segmentation
 from pointnetkl.segmentation import tiles
 from pointnetkl.surveys import submap, survey
-from pointnetkl.workflow import artifacts, command, settings, study
+from pointnetkl.workflow import artifacts, command, parameters, study
 from pointnetkl.workflow.study import StudySurvey
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the survey's pings and soundings; write its submaps and their poses."""
-    how = settings.read(arguments.params, "segment", segmentation.Settings)
+    how = parameters.read(arguments.params, "segment", segmentation.Settings)
     line = study.survey(arguments.params, arguments.name)
     sizes: list[int] = []
     with artifacts.TableWriter(arguments.submaps, submap.POINTS) as points:
@@ -28,7 +28,7 @@ def main(arguments: argparse.Namespace) -> None:
         points.metadata = {
             "survey": arguments.name,
             "params": {
-                "segment": settings.as_metadata(how),
+                "segment": parameters.as_metadata(how),
                 "submap_length_m": line.submap_length_m,
                 "point_spacing_m": line.point_spacing_m,
             },

@@ -8,16 +8,16 @@ import pandas as pd
 from pointnetkl import simulation
 from pointnetkl.simulation import vehicle
 from pointnetkl.surveys.survey import TRAJECTORY
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Write one Parquet file a line and the truth."""
-    chosen = settings.read(arguments.params, f"simulate.{arguments.survey}", simulation.Settings)
-    craft = settings.read(arguments.params, f"vehicles.{chosen.vehicle}", vehicle.Settings)
+    chosen = parameters.read(arguments.params, f"simulate.{arguments.survey}", simulation.Settings)
+    craft = parameters.read(arguments.params, f"vehicles.{chosen.vehicle}", vehicle.Settings)
     terrain = simulation.ground(chosen)
-    metadata = {"survey": arguments.survey, "simulate": settings.as_metadata(chosen)}
-    metadata["vehicle"] = settings.as_metadata(craft)
+    metadata = {"survey": arguments.survey, "simulate": parameters.as_metadata(chosen)}
+    metadata["vehicle"] = parameters.as_metadata(craft)
     for stale in arguments.raw.glob("line_*.parquet"):  # of an earlier run with more lines
         stale.unlink()
     truth = []

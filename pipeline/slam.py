@@ -19,7 +19,7 @@ from pointnetkl.slam.consistency.map_to_map_auvlib import MapToMapAuvlib
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 class Found(NamedTuple):
@@ -34,7 +34,7 @@ class Found(NamedTuple):
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and the covariances; write every run's errors, trajectories, and maps of the first."""
     name = arguments.survey
-    chosen = settings.read(arguments.params, "slam", protocol.Settings)
+    chosen = parameters.read(arguments.params, "slam", protocol.Settings)
     _, graph, made_with = graph_file.read(arguments.graph, name)
     artifacts.require_survey(name, arguments.submaps, arguments.pings)
     covariances = table.read((arguments.estimated, arguments.predicted, arguments.measured), name)
@@ -43,7 +43,7 @@ def main(arguments: argparse.Namespace) -> None:
     found = solve(graph, methods, submaps, chosen) if graph.track else no_track()
     for sentence in slam_benchmark.unsolved(found.rows):
         print(sentence, file=sys.stderr)
-    metadata = {"survey": name, "slam": settings.as_metadata(chosen), "graph": made_with}
+    metadata = {"survey": name, "slam": parameters.as_metadata(chosen), "graph": made_with}
     artifacts.write_table(arguments.rows, found.rows, protocol.ROWS, metadata)
     artifacts.write_table(arguments.trajectories, found.trajectories, protocol.TRAJECTORIES, metadata)
     frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)

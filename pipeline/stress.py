@@ -12,14 +12,14 @@ from pointnetkl.slam.graph import graph_file
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.slam.robust import false_closures, loop_gate, stress
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph, the submaps and the covariances; write errors by kernel, share and method, and the gate's."""
     name = arguments.survey
-    chosen = settings.read(arguments.params, "stress", stress.Settings)
-    slam = settings.read(arguments.params, "slam", protocol.Settings)
+    chosen = parameters.read(arguments.params, "stress", stress.Settings)
+    slam = parameters.read(arguments.params, "slam", protocol.Settings)
     file = graph_file.read(arguments.graph, name)
     cell, coverage = file.number("graph.cell_factor") * file.number("spacing_m"), file.number("graph.coverage")
     artifacts.require_survey(name, arguments.submaps)
@@ -34,7 +34,7 @@ def main(arguments: argparse.Namespace) -> None:
         corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
         gate = loop_gate.table(file.graph, clouds, corrupted, cell, coverage)
     of_slam = {"yaw_sigma_rad": slam.yaw_sigma_rad, "floor_m2": slam.floor_m2}
-    metadata = {"survey": name, "stress": settings.as_metadata(chosen), "slam": of_slam, "graph": file.made_with}
+    metadata = {"survey": name, "stress": parameters.as_metadata(chosen), "slam": of_slam, "graph": file.made_with}
     artifacts.write_table(arguments.rows, rows, stress.ROWS, metadata)
     artifacts.write_table(arguments.gate, gate, loop_gate.GATE, metadata)
 

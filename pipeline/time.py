@@ -21,19 +21,19 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.simulation import seabed
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, command, settings
+from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Time every method, write the means and standard deviations and print them."""
-    chosen = settings.read(arguments.params, "time", runtime.Settings)
-    terrain = settings.read(arguments.params, f"simulate.{chosen.terrain}.terrain", seabed.Settings)
+    chosen = parameters.read(arguments.params, "time", runtime.Settings)
+    terrain = parameters.read(arguments.params, f"simulate.{chosen.terrain}.terrain", seabed.Settings)
     submaps = [draw(chosen, terrain, number) for number in range(chosen.submaps)]
     timings = {m.name: runtime.measure(m, submaps) for m in methods(arguments, chosen)}
     for name, each in timings.items():
         print(f"{name}: {each.mean_s:.3g} s +- {each.std_s:.2g} s a submap")
-    entries = {name: settings.as_metadata(each) for name, each in timings.items()}
-    machine = {**runtime.machine(), "params": settings.as_metadata(chosen)}
+    entries = {name: parameters.as_metadata(each) for name, each in timings.items()}
+    machine = {**runtime.machine(), "params": parameters.as_metadata(chosen)}
     artifacts.write_json(arguments.runtime, {**entries, "machine": machine})
 
 
@@ -45,14 +45,16 @@ def draw(chosen: runtime.Settings, terrain: seabed.Settings, number: int) -> Sub
 
 def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Method]:
     """Return every method; the constant's value does not matter to its time."""
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
-    seed = settings.read(arguments.params, "predict", learned.Settings).seed
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    seed = parameters.read(arguments.params, "predict", learned.Settings).seed
     fits = learned.read(arguments.fits, registration.dimensions)
     return [
         sampled.Sampled("monte_carlo", chosen.runs, chosen.seed, label, registration),
         constant.Constant("constant", np.eye(registration.dimensions)),
-        *estimated.without_labels(settings.read(arguments.params, "estimate", estimated.Settings), label, registration),
+        *estimated.without_labels(
+            parameters.read(arguments.params, "estimate", estimated.Settings), label, registration
+        ),
         *learned.methods(fits, SelfRegistration(seed, label, registration)),
         *trained.load_all(arguments.models, label, registration),
     ]

@@ -15,7 +15,7 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import model_card
 from pointnetkl.training import checkpoint, dataset, device
-from pointnetkl.workflow import artifacts, command, settings, study
+from pointnetkl.workflow import artifacts, command, parameters, study
 
 # Where KL is judged, as report.kl_floor_m2 has it: to read that here would train again whenever a report changes.
 JUDGED_AT_M2 = 0.01
@@ -23,14 +23,14 @@ JUDGED_AT_M2 = 0.01
 
 def main(arguments: argparse.Namespace) -> None:
     """Train, and write everything."""
-    kind = settings.read(arguments.params, f"models.{arguments.model}.kind", str)
+    kind = parameters.read(arguments.params, f"models.{arguments.model}.kind", str)
     if kind not in model_file.KINDS:
         known = " or ".join(model_file.KINDS)
         place = f"{arguments.params}: models.{arguments.model}.kind"
-        raise settings.SettingsError(f"{place} is {kind!r}, must be {known}")
-    chosen = settings.read(arguments.params, f"models.{arguments.model}.train", training.Settings)
+        raise parameters.SettingsError(f"{place} is {kind!r}, must be {known}")
+    chosen = parameters.read(arguments.params, f"models.{arguments.model}.train", training.Settings)
     form, make = model_file.kind(kind)
-    network = settings.read(arguments.params, f"models.{arguments.model}.network", form)
+    network = parameters.read(arguments.params, f"models.{arguments.model}.network", form)
     studied = study.read(arguments.params)
     surveys = list(studied.train)
     samples, voxel = dataset.read(arguments.training, surveys)
@@ -44,18 +44,18 @@ def main(arguments: argparse.Namespace) -> None:
         samples = dataset.described(arguments.training, samples, model.describe)
     sets = dataset.split(samples, chosen.validation_share, chosen.validation_blocks, chosen.seed)
     model.start(sets[0])
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     sections = {"train": chosen, "label": label, "registration": registration}
-    parameters = {"surveys": surveys, **{name: settings.as_metadata(each) for name, each in sections.items()}}
-    decides = {**parameters, "kind": kind, "network": settings.as_metadata(network), "device": where.type}
+    metadata = {"surveys": surveys, **{name: parameters.as_metadata(each) for name, each in sections.items()}}
+    decides = {**metadata, "kind": kind, "network": parameters.as_metadata(network), "device": where.type}
     kept = checkpoint.Checkpoint(arguments.checkpoints, checkpoint.name(decides, sets), arguments.every_s)
     outcome = training.train(model, *sets, chosen, kept, lambda history: write_losses(arguments.loss, history))
     training.finish(model, sets[0], chosen)
 
     parts = dataset.split(seen, chosen.validation_share, chosen.validation_blocks, chosen.seed)
     known = novelty.learn(parts[0].described, parts[0].survey)
-    artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, parameters, known))
+    artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, metadata, known))
     score = {**summary(model, sets, outcome, JUDGED_AT_M2), "flagged": flagged(known, parts)}
     artifacts.write_json(arguments.summary, score)
     artifacts.write_bytes(arguments.onnx, model_file.to_onnx(model))
@@ -70,8 +70,8 @@ def found(params: Path, form: type[Any], samples: dataset.Samples) -> dict[str, 
     """Return the settings of a network that its labels decide: how many dimensions, and how they were made."""
     if form is not mean_field_network.Settings:
         return {"dimensions": samples.label.shape[-1]}
-    label = settings.read(params, "label", monte_carlo.Settings)
-    registration = settings.read(params, "registration", gicp.Settings)
+    label = parameters.read(params, "label", monte_carlo.Settings)
+    registration = parameters.read(params, "registration", gicp.Settings)
     return {"dimensions": samples.label.shape[-1], "conditions": mean_field.conditions(label, registration)}
 
 

@@ -10,14 +10,14 @@ import pandas as pd
 from pointnetkl.labels import sensitivity
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, compute, settings, study
+from pointnetkl.workflow import artifacts, command, compute, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Choose submaps from flat to rugged and write their labels under every condition."""
-    chosen = settings.read(arguments.params, "vary", sensitivity.Settings)
-    label = settings.read(arguments.params, "label", monte_carlo.Settings)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    chosen = parameters.read(arguments.params, "vary", sensitivity.Settings)
+    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     cell_m = study.survey(arguments.params, arguments.survey).point_spacing_m
     numbers = choose(arguments.survey, arguments.submaps, chosen.submaps, registration)
     rows = functools.partial(
@@ -32,7 +32,7 @@ def main(arguments: argparse.Namespace) -> None:
     cases = sensitivity.cases(numbers, chosen, label)
     found = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
     sections = {"vary": chosen, "label": label, "registration": registration}
-    params = {name: settings.as_metadata(values) for name, values in sections.items()}
+    params = {name: parameters.as_metadata(values) for name, values in sections.items()}
     schema = sensitivity.schema(registration.dimensions)
     variations = pd.DataFrame(chain.from_iterable(found), columns=schema.names)
     artifacts.write_table(arguments.variations, variations, schema, {"survey": arguments.survey, "params": params})

@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 
 from pointnetkl.surveys import submap, voxel
-from pointnetkl.workflow import artifacts, command, compute, settings
+from pointnetkl.workflow import artifacts, command, compute, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read a survey's submaps; write their clouds."""
-    how = settings.read(arguments.params, "voxelise", voxel.Settings)
+    how = parameters.read(arguments.params, "voxelise", voxel.Settings)
     submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = voxel.Clouds.of(
         [one.number for one in submaps],
@@ -19,7 +19,7 @@ def main(arguments: argparse.Namespace) -> None:
             "voxelise",
         ),
     )
-    metadata = {"survey": arguments.name, "params": {"voxelise": settings.as_metadata(how)}}
+    metadata = {"survey": arguments.name, "params": {"voxelise": parameters.as_metadata(how)}}
     artifacts.write_arrays(arguments.clouds, clouds.to_arrays(), metadata)
     print(f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}")
 

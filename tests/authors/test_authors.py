@@ -6,18 +6,18 @@ import subprocess
 import sys
 from pathlib import Path
 
-import authors_arrays
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
 
+import authors_arrays
 from pointnetkl import training
 from pointnetkl.authors import consolidated
 from pointnetkl.authors import tables as consolidated_tables
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 ROOT = Path(__file__).parents[2]
 QUICK = {
@@ -33,10 +33,10 @@ QUICK = {
 
 def prepare(folder: Path) -> None:
     """Write small arrays under the authors' names, and parameters for a short training of a small network."""
-    parameters = yaml.safe_load((ROOT / "authors.yaml").read_text())
-    parameters["models"]["pointnetkl"]["train"] |= QUICK
-    parameters["models"]["pointnetkl"]["network"] |= {"hidden_layers": 1, "hidden_width": 16}
-    (folder / "authors.yaml").write_text(yaml.safe_dump(parameters))
+    params = yaml.safe_load((ROOT / "authors.yaml").read_text())
+    params["models"]["pointnetkl"]["train"] |= QUICK
+    params["models"]["pointnetkl"]["network"] |= {"hidden_layers": 1, "hidden_width": 16}
+    (folder / "authors.yaml").write_text(yaml.safe_dump(params))
     for seed, name in enumerate(("baltic", "antarctica", "borno_val")):
         authors_arrays.write(folder / f"{name}.npy", authors_arrays.rows(12, seed))
 
@@ -114,10 +114,10 @@ def test_what_cannot_be_tested_ends_in_one_sentence(
 def test_the_network_of_the_authors_data_is_that_of_the_pipeline():
     section = "models.pointnetkl"
     own, pipeline = (ROOT / name for name in ("authors.yaml", "params.yaml"))
-    assert settings.read(own, f"{section}.network", network.Settings) == settings.read(
+    assert parameters.read(own, f"{section}.network", network.Settings) == parameters.read(
         pipeline, f"{section}.network", network.Settings
     )
-    assert settings.read(own, f"{section}.train", training.Settings).batch == 500
+    assert parameters.read(own, f"{section}.train", training.Settings).batch == 500
 
 
 def test_a_perfect_answer_has_no_divergence_and_the_best_constant_is_the_mean():

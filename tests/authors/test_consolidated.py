@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import authors_arrays
 import numpy as np
 import pytest
 
+import authors_arrays
 from pointnetkl.authors import consolidated
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel

@@ -7,10 +7,10 @@ import tracemalloc
 from pathlib import Path
 from typing import Any
 
-import authors_arrays
 import numpy as np
 import pytest
 
+import authors_arrays
 from pointnetkl.authors import object_array
 
 MEBIBYTE = 1 << 20

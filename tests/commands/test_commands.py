@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import toy_survey
 from scipy.spatial import cKDTree
 from test_estimator import written
 from test_graph_solver import meshed
 
+import toy_survey
 from conftest import REALDATA
 from pointnetkl import __main__ as command
 from pointnetkl.commands import NAMES
@@ -21,7 +21,7 @@ from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.surveys import pose, quaternion, submap
 from pointnetkl.workflow import artifacts
-from pointnetkl.workflow import settings as parameters
+from pointnetkl.workflow import parameters as parameters
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 Q = np.array([[0.04, 0.03], [0.03, 0.09]])

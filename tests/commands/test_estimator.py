@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
-import terrains
 import torch
 
 import pointnetkl
+import terrains
 from pointnetkl.models import mean_field_network, model_file, novelty
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.mean_field import Conditions

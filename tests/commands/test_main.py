@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import terrains
 from test_estimator import KINDS, written
 
 import pointnetkl
+import terrains
 from pointnetkl import __main__ as command
 
 

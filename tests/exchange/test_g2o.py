@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-import graphs
 import gtsam
 import numpy as np
 import pytest
-import toy_survey
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import graphs
+import toy_survey
 from pointnetkl.exchange import g2o, graph_exchange
 from pointnetkl.exchange.g2o import G2oError, Graph
 from pointnetkl.slam.graph import pose_graph

@@ -2,16 +2,16 @@
 
 import dataclasses
 
-import graphs
 import numpy as np
 import pytest
 from test_pose_graph import CROSSING, LONG_X, closure
-from toy_survey import CLOSURE, DEAD_RECKONING
 
+import graphs
 from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 from pointnetkl.exchange.graph_exchange import GraphExchangeError
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges
+from toy_survey import CLOSURE, DEAD_RECKONING
 
 NONE = Edges(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 4)))
 OTHER = np.diag([0.5, 0.5])  # what the file has

@@ -3,22 +3,22 @@
 import dataclasses
 from pathlib import Path
 
-import graphs
 import gtsam
 import numpy as np
 import pytest
 from test_graph_exchange import NONE, crossing, moved
 from test_pose_graph import CROSSING, closure
-from toy_survey import CLOSURE, DEAD_RECKONING
 
+import graphs
 from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 from pointnetkl.exchange.graph_solver import GraphSolverError
 from pointnetkl.slam.graph import gtsam_search, pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators
 from pointnetkl.surveys import pose
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
+from toy_survey import CLOSURE, DEAD_RECKONING
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 
@@ -51,7 +51,7 @@ def without(graph: g2o.Graph, edge: int) -> g2o.Graph:
 def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str):
     graph, wrong = meshed()
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
-    thresholds = settings.read(PARAMS, "stress.thresholds", estimators.Thresholds)
+    thresholds = parameters.read(PARAMS, "stress.thresholds", estimators.Thresholds)
     found, weights = graph_solver.solve_robust(graph, doubted, kernel, thresholds)
     right, plain = graph_solver.solve(without(graph, wrong)), graph_solver.solve(graph)
     assert doubted[weights.argmin()] == wrong

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-import graphs
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import graphs
 from pointnetkl.exchange import tum
 from pointnetkl.exchange.tum import TumError
 

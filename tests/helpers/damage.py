@@ -11,10 +11,10 @@ import pandas as pd
 from pointnetkl import readers
 from pointnetkl.readers.spool import UnforeseenError
 from pointnetkl.surveys.survey import Survey
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
-SETTINGS = settings.read(Path(__file__).parents[2] / "params.yaml", "ingest", readers.Settings)
+SETTINGS = parameters.read(Path(__file__).parents[2] / "params.yaml", "ingest", readers.Settings)
 TOLD, REFUSED, READ = "told", "refused", "read"  # damage named in the report; an error; nothing noticed
 
 _ODD = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 24, 1000, 65537)

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import all_files
-import damage
-import gsf_files
-import kmall_files
 import numpy as np
 import test_depth_grid
 import test_readers_las
 import test_readers_pcd
 import test_readers_sbet
-import xtf_files
 from test_readers import parquet, rows
 
+import all_files
+import damage
+import gsf_files
+import kmall_files
+import xtf_files
 from conftest import REALDATA
 from pointnetkl.readers import sbet
 from pointnetkl.simulation import depth_grid

@@ -10,14 +10,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-import terrains
 import yaml
 
+import terrains
 from pointnetkl.labels import shards
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
 
 ROOT = Path(__file__).parents[2]
 SUBMAPS = 12
@@ -39,20 +39,20 @@ def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 10
         folder / "submaps.parquet", submap.to_table(one(i, points) for i in range(submaps)), submap.POINTS, {}
     )
     line = {"raw": "none", "truth": "none", "submap_length_m": 100, "point_spacing_m": 5, "label_runs": runs}
-    parameters = {
-        "label": settings.as_metadata(SETTINGS),
-        "registration": settings.as_metadata(REGISTRATION),
+    params = {
+        "label": parameters.as_metadata(SETTINGS),
+        "registration": parameters.as_metadata(REGISTRATION),
         "study": {"surveys": {"toy": line}},
     }
-    (folder / "params.yaml").write_text(yaml.safe_dump(parameters))
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
     return folder
 
 
 def change(folder: Path, section: str, **values: object) -> None:
     """Change parameters of a written survey."""
-    parameters = yaml.safe_load((folder / "params.yaml").read_text())
-    parameters[section].update(values)
-    (folder / "params.yaml").write_text(yaml.safe_dump(parameters))
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    params[section].update(values)
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
 
 
 def job(folder: Path, runs: int = 20, settings: monte_carlo.Settings = SETTINGS) -> shards.Job:

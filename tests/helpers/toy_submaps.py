@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-import terrains
 
+import terrains
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting
 from pointnetkl.registration import gicp, monte_carlo

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import toy_labels
 from local_dask import LocalDask
-from toy_labels import change, fail, intact, kill, outputs, run, start, until, write
-
 from pointnetkl.workflow import artifacts
+from toy_labels import change, fail, intact, kill, outputs, run, start, until, write
 
 SUBMAPS, RUNS = 40, 400  # some seconds of work
 KILLS = 20

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import terrains
 
+import terrains
 from pointnetkl.labels import sensitivity
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.segmentation import spacing

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_dvc_yaml import SOURCE, closure
-from toy_labels import SETTINGS, SUBMAPS, intact, job, one, same_label, write
 
 from pointnetkl.labels import shards
 from pointnetkl.labels.shards import ShardError
 from pointnetkl.registration import monte_carlo
 from pointnetkl.surveys import submap
+from toy_labels import SETTINGS, SUBMAPS, intact, job, one, same_label, write
 
 
 @pytest.fixture(autouse=True)
@@ -270,7 +270,7 @@ def test_every_module_that_a_label_is_made_by_is_in_the_kernel_version():
         "workflow/artifacts.py",
         "registration/covariance/gaussian.py",
         "workflow/errors.py",
-        "workflow/settings.py",
+        "workflow/parameters.py",
         "surveys/submap.py",
     )
     assert closure(package / "registration/monte_carlo.py") - counted <= {package / name for name in names}

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, submap
 
 from pointnetkl.methods import sampled
 from pointnetkl.methods.closed_forms import hessian
 from pointnetkl.methods.fitted import calibrated, fitting
+from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, submap
 
 LEARNERS = {"hessian": calibrated.HESSIAN, "censi": calibrated.CENSI}
 PRIORS = {2: np.diag([9.0, 9.0]), 3: np.diag([9.0, 9.0, 9e-4])}

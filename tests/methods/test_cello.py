@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-import terrains
-from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, rotation, submap, turned
 
+import terrains
 from pointnetkl.methods import sampled
 from pointnetkl.methods.fitted import cello, fitting
 from pointnetkl.registration import gicp
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
+from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, rotation, submap, turned
 
 KINDS = ("flat", "gentle", "mild", "rugged", "ridge")
 BLOCKS = dataclasses.replace(FIT, blocks=2)

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_submaps import BOTH, HOW, LABEL, assert_turns, submap
 
 from pointnetkl.methods.closed_forms import censi
 from pointnetkl.registration import gicp
+from toy_submaps import BOTH, HOW, LABEL, assert_turns, submap
 
 DRAWS = 6000  # 1.8 % on a variance
 

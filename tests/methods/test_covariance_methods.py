@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-import toy_submaps
 
+import toy_submaps
 from pointnetkl.methods import estimated, labelled, sampled
 from pointnetkl.methods.closed_forms import naive_gicp
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_submaps import BOTH, assert_turns, submap
 
 from pointnetkl.methods.closed_forms import hessian, self_registration
 from pointnetkl.registration import gicp
+from toy_submaps import BOTH, assert_turns, submap
 
 
 def linear(dimensions: int, rng: np.random.Generator, n: int = 60) -> gicp.Linearised:

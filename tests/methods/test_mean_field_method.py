@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 import terrains
 import toy_submaps
-
 from pointnetkl.methods.closed_forms.mean_field import MeanField
 from pointnetkl.models import mean_field
 from pointnetkl.models.mean_field import MeanFieldError

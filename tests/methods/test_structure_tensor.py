@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-import toy_submaps
-from toy_submaps import HOW, HOW_WITH_YAW
 
+import toy_submaps
 from pointnetkl.methods.fitted import fitting
 from pointnetkl.methods.fitted import structure_tensor as st
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
+from toy_submaps import HOW, HOW_WITH_YAW
 
 SETTINGS = fitting.Settings(seed=4, floor_m2=0.01, starts=12)
 METHOD = st.StructureTensor("structure_tensor", c=0.5, gamma=1.2, b_m2=8.0, f_m2=0.003, how=HOW)

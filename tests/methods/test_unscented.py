@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from toy_submaps import BOTH, HOW, assert_turns, submap
 
 from pointnetkl.methods.closed_forms import censi, unscented
+from toy_submaps import BOTH, HOW, assert_turns, submap
 
 
 @pytest.mark.parametrize("prior", [np.diag([9.0, 9.0]), np.diag([9.0, 4.0, 0.01])])

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import terrains
 import toy_submaps
-
 from pointnetkl.models import mean_field
 from pointnetkl.models.mean_field import Conditions, MeanFieldError
 from pointnetkl.registration import monte_carlo

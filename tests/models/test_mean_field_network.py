@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
-import terrains
 import torch
-import toy_submaps
 
+import terrains
+import toy_submaps
 from pointnetkl.models import cholesky, mean_field, mean_field_network, model_file
 from pointnetkl.models.mean_field_network import AXIS, WHOLE, MeanFieldNetwork, MeanFieldNetworkError
 from pointnetkl.models.model import predict

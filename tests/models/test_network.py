@@ -12,7 +12,7 @@ from pointnetkl.models import cholesky
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.model import Model, ModelError, predict
 from pointnetkl.registration.covariance import gaussian
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 SMALL = network.Settings(scale_input=True, hidden_layers=2, hidden_width=32, dropout=0.4)
 PAPER = network.Settings(scale_input=True, hidden_layers=4, hidden_width=1000, dropout=0.4)
@@ -138,4 +138,4 @@ def test_settings_that_make_no_network_are_refused():
         dataclasses.replace(SMALL, dropout=1.0)
     with pytest.raises(ValueError, match=r"^dimensions is 4"):
         dataclasses.replace(SMALL, dimensions=4)
-    assert settings.as_metadata(SMALL)["hidden_width"] == 32
+    assert parameters.as_metadata(SMALL)["hidden_width"] == 32

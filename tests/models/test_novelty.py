@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import terrains
 from test_estimator import written
 
+import terrains
 from pointnetkl.models import novelty
 from pointnetkl.surveys import submap as submaps
 from pointnetkl.training import dataset

@@ -9,13 +9,13 @@ from pointnetkl.models import model_file, trained
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.trained import TrainedError
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 LABEL = monte_carlo.Settings(seed=2, copy="same", prior_variance_m2=9.0, noise_sigma_m=0.2, held_out_runs=0)
 REGISTRATION = gicp.Settings(
     neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
 )
-METADATA = {"label": settings.as_metadata(LABEL), "registration": settings.as_metadata(REGISTRATION)}
+METADATA = {"label": parameters.as_metadata(LABEL), "registration": parameters.as_metadata(REGISTRATION)}
 
 
 def write(folder: Path, metadata: dict[str, object]) -> Path:

@@ -86,7 +86,7 @@ def test_a_stage_names_every_section_of_the_parameters_that_it_reads(stage: str)
     named = [param.split(".")[0] for param in STAGES[stage].get("params", [])]
     tree = ast.parse(SCRIPTS[stage].read_text())
     calls = [
-        node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "settings.read"
+        node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "parameters.read"
     ]
     for call in calls:
         section = ast.unparse(call.args[1]).lstrip("f").strip("'\"").split(".")[0]

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from workspace import ROOT, Workspace
 
 from pointnetkl.registration.covariance import table
 from pointnetkl.workflow import artifacts
+from workspace import ROOT, Workspace
 
 DROPPED = ("shetland", "borno_1", "thwaites_11")
 CHANGES = (Path(__file__).parents[2] / "scales/smoke").read_text().replace("-S ", "").split()

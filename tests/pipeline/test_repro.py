@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+
 from workspace import ROOT, repro
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from toy_survey import graph
 
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts
+from toy_survey import graph
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,12 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import fake_artifacts
 import numpy as np
 import pandas as pd
 import pytest
-from toy_survey import REGISTRATION, SETTINGS, SPACING, sail
 
+import fake_artifacts
 from pointnetkl import simulation
 from pointnetkl.registration import monte_carlo
 from pointnetkl.registration.covariance import table
@@ -24,7 +23,8 @@ from pointnetkl.slam.consistency import consistency_map, map_thinning
 from pointnetkl.slam.graph import graph_file, survey_graph
 from pointnetkl.slam.robust import loop_gate, stress
 from pointnetkl.surveys import submap, survey
-from pointnetkl.workflow import artifacts, settings, study
+from pointnetkl.workflow import artifacts, parameters, study
+from toy_survey import REGISTRATION, SETTINGS, SPACING, sail
 
 ROOT = Path(__file__).parents[2]
 METHODS = ("monte_carlo", "network", "structure_tensor", "constant", "naive_gicp")
@@ -133,8 +133,8 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     lose_track(tmp_path, "mine")  # of which no loop closures are known
     folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports")
     params = tmp_path / "params.yaml"
-    simulate = settings.read(params, "simulate", dict[str, simulation.Settings])
-    made = report.make(folders, study.read(params), simulate, settings.read(params, "report", summary.Settings))
+    simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
+    made = report.make(folders, study.read(params), simulate, parameters.read(params, "report", summary.Settings))
     numbers = json.loads(made.files["metrics.json"])
     assert numbers["slam"]["mine"] == {"dead_reckoning_edges": 0, "loop_closures": 0}
     assert numbers["kl"]["mine"]["network"]["mean"] >= 0

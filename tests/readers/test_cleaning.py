@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from test_readers import parquet, rows
-from whole_survey import SETTINGS, Whole
-from whole_survey import read as read_whole
 
 from pointnetkl.readers import cleaning, formats
 from pointnetkl.readers.formats import recording
 from pointnetkl.readers.formats.recording import PING_COLUMNS, SOUNDING_COLUMNS, Recording
 from pointnetkl.surveys.survey import SUBMAPS, SWATHS
+from whole_survey import SETTINGS, Whole
+from whole_survey import read as read_whole
 
 HOW = cleaning.Settings(8.0, 0.05)
 PINGS, BEAMS, DEPTH_M = 40, 101, 50.0

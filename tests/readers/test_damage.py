@@ -7,11 +7,12 @@ import functools
 import random
 from pathlib import Path
 
-import damage
 import pytest
-import seed_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+import damage
+import seed_files
 
 READERS = sorted(seed_files.FORMATS)
 QUICK = settings(

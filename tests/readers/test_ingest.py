@@ -11,7 +11,7 @@ from test_readers import parquet, rows
 
 from pointnetkl import readers
 from pointnetkl.surveys.survey import PINGS, SOUNDINGS, TRAJECTORY
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
 
 ROOT = Path(__file__).parents[2]
 
@@ -120,8 +120,8 @@ def test_what_cannot_be_read_ends_in_one_sentence(folder: Path):
 
 def test_a_zone_that_is_none_is_refused_before_anything_is_read(tmp_path: Path):
     (tmp_path / "params.yaml").write_text("ingest: {seed: 0, utm_zone: 33N}\n")
-    with pytest.raises(settings.SettingsError, match="utm_zone is '33N', must be auto or a code"):
-        settings.read(tmp_path / "params.yaml", "ingest", readers.Settings)
+    with pytest.raises(parameters.SettingsError, match="utm_zone is '33N', must be auto or a code"):
+        parameters.read(tmp_path / "params.yaml", "ingest", readers.Settings)
 
 
 def test_what_is_projected_is_read_without_the_libraries_that_it_does_not_need(folder: Path):

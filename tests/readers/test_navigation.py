@@ -4,16 +4,16 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import all_files
 import numpy as np
 import pandas as pd
 import pytest
 from test_readers import geographic, parquet
 from test_readers_sbet import records, written
-from whole_survey import SETTINGS, Whole, read
 
+import all_files
 from pointnetkl.readers.formats import interpolation
 from pointnetkl.workflow.errors import PointNetKLError
+from whole_survey import SETTINGS, Whole, read
 
 WEEK_S, EPOCH_S, LEAP_S = 604_800.0, 315_964_800.0, 18.0
 

@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from pyproj import Geod, Transformer
-from whole_survey import SETTINGS, Whole
-from whole_survey import read as read_whole
 
 from pointnetkl.readers.formats.recording import IMPOSSIBLE
 from pointnetkl.surveys.survey import PINGS, SOUNDINGS, track_length
 from pointnetkl.workflow.errors import PointNetKLError
+from whole_survey import SETTINGS, Whole
+from whole_survey import read as read_whole
 
 
 def rows(pings: int = 4, beams: int = 5, heading: float = 0.0, **columns: Any) -> pd.DataFrame:

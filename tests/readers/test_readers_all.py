@@ -6,12 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import all_files
 import numpy as np
 import pandas as pd
 import pytest
-from all_files import ACROSS, BEGIN, attitude, datagram, depths, position, xyz88
 
+import all_files
+from all_files import ACROSS, BEGIN, attitude, datagram, depths, position, xyz88
 from conftest import REALDATA
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import kongsberg_all

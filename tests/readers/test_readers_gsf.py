@@ -6,19 +6,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import gsf_files as made
 import numpy as np
 import pandas as pd
 import pytest
-import whole_survey
 from pyproj import Geod, Transformer
 from test_readers import mutated
-from whole_survey import Whole
 
+import gsf_files as made
+import whole_survey
 from conftest import REALDATA
 from pointnetkl.readers.formats import gsf
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, REJECTED, Recording
 from pointnetkl.surveys.survey import SurveyError, track_length
+from whole_survey import Whole
 
 GSF = REALDATA / "gsf"
 REAL = ["em302_st_croix.gsf", "em302_deep.gsf", "stub_3_09.gsf"]

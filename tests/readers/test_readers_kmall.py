@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from kmall_files import ACROSS, TIME_S, attitude, body, datagram, installation, packets, ping, soundings
 from pyproj import Geod
 
 from conftest import REALDATA
+from kmall_files import ACROSS, TIME_S, attitude, body, datagram, installation, packets, ping, soundings
 from pointnetkl.readers.formats import kmall
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, PING_COLUMNS, REJECTED, SOUNDING_COLUMNS, Recording
 from pointnetkl.readers.formats.window import Window

@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import damage
 import numpy as np
 import pandas as pd
 import pytest
-import xtf_files
-from xtf_files import ACROSS, BEGIN, DEGREE_M, EAST, SONAR, SPEED, Ship
 
+import damage
+import xtf_files
 from conftest import REALDATA
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import xtf
@@ -23,6 +22,7 @@ from pointnetkl.readers.formats.xtf import r2sonic, raytrace
 from pointnetkl.readers.formats.xtf import streams as xtf_streams
 from pointnetkl.readers.formats.xtf import swaths as xtf_swaths
 from pointnetkl.readers.formats.xtf.packets import FileHeader
+from xtf_files import ACROSS, BEGIN, DEGREE_M, EAST, SONAR, SPEED, Ship
 
 PIER = REALDATA / "xtf/r2sonic_pier.xtf"
 real = pytest.mark.skipif(not PIER.exists(), reason="no real data here")

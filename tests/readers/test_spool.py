@@ -3,18 +3,18 @@
 import os
 from pathlib import Path
 
-import all_files
 import numpy as np
 import pandas as pd
 import pytest
 from test_readers import parquet, rows
 from test_readers_all import starts
-from whole_survey import read
 
+import all_files
 from pointnetkl import readers
 from pointnetkl.readers import formats, spool
 from pointnetkl.readers.formats import kongsberg_all, recording
 from pointnetkl.surveys.survey import SurveyError
+from whole_survey import read
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 import reference_gicp
 import terrains
-
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import kernel, registration
 from pointnetkl.surveys import pose

@@ -16,9 +16,9 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+
 import simulated_gpu
 import terrains
-
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import matching, registration
 from pointnetkl.registration.gicp.cuda import engine as cuda
@@ -132,7 +132,8 @@ def test_a_cloud_that_does_not_fit_is_refused_before_anything_is_copied() -> Non
 
 
 def test_to_use_gicp_on_a_cpu_nothing_of_the_gpus_is_imported() -> None:
-    code = "import sys; from pointnetkl.registration import gicp; sys.exit('pointnetkl.registration.gicp.cuda' in sys.modules)"
+    room = "pointnetkl.registration.gicp"
+    code = f"import sys; import {room}; sys.exit('{room}.cuda' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

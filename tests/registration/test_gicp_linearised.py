@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_submaps import REGISTRATION, WITH_YAW, submap
 
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import linearised
+from toy_submaps import REGISTRATION, WITH_YAW, submap
 
 NOISE = gicp.Noise(0.1, 7)
 FINE = {2: dataclasses.replace(REGISTRATION, tolerance_m=1e-6), 3: dataclasses.replace(WITH_YAW, tolerance_m=1e-6)}

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import terrains
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+import terrains
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import matching
 

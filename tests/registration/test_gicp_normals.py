@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 import reference_gicp
 import terrains
-
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import normals
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import terrains
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+import terrains
 from pointnetkl.registration import gicp, monte_carlo
 
 FINE = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-6, max_iterations=200)

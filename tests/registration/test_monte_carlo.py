@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-import terrains
 
+import terrains
 from pointnetkl.labels import warnings
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, metrics, table

@@ -1,10 +1,10 @@
 """What was cleaned out of a survey stands in the report, in the words and numbers of the stages that did it."""
 
-import fake_artifacts
 import pandas as pd
 import pytest
-import whole_survey
 
+import fake_artifacts
+import whole_survey
 from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.readers import georeference

@@ -2,10 +2,10 @@
 
 import pytest
 from test_estimator import KINDS, model
-from toy_submaps import LABEL, REGISTRATION, WITH_YAW
 
 from pointnetkl.reporting import model_card
 from pointnetkl.workflow.study import StudySurvey
+from toy_submaps import LABEL, REGISTRATION, WITH_YAW
 
 LINE = StudySurvey("data/raw/mine", "data/none", 100.0, 3.2, 200)
 SUMMARY = {

@@ -8,12 +8,12 @@ import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import fake_artifacts
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
 
+import fake_artifacts
 from pointnetkl import simulation
 from pointnetkl.labels import sensitivity
 from pointnetkl.registration import monte_carlo
@@ -23,7 +23,7 @@ from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.workflow import artifacts, settings, study
+from pointnetkl.workflow import artifacts, parameters, study
 
 UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
 
@@ -48,8 +48,8 @@ def make(folder: Path) -> report.Report:
     return report.make(
         results.Folders(folder / "data", folder / "models", folder / "reports"),
         study.read(params),
-        settings.read(params, "simulate", dict[str, simulation.Settings]),
-        settings.read(params, "report", summary.Settings),
+        parameters.read(params, "simulate", dict[str, simulation.Settings]),
+        parameters.read(params, "report", summary.Settings),
     )
 
 

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-import fake_artifacts
 import numpy as np
 import pandas as pd
 import pytest
 
+import fake_artifacts
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.results import Folders

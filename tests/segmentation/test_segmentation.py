@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import whole_survey
-from whole_survey import Cut, Whole
 
+import whole_survey
 from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.segmentation import SegmentationError, Settings, spacing, track
@@ -16,6 +15,7 @@ from pointnetkl.segmentation.soundings import SoundingsError
 from pointnetkl.surveys import pose, survey
 from pointnetkl.surveys.submap import POINTS, POSES, from_table, to_table
 from pointnetkl.workflow import artifacts
+from whole_survey import Cut, Whole
 
 SPACING_M = 4.0
 ROOT = Path(__file__).parents[2]

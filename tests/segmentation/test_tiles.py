@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import whole_survey
-from whole_survey import Cut
 
+import whole_survey
 from pointnetkl import segmentation
 from pointnetkl.segmentation import Segmentation, Settings, halves, spacing, tiles
 from pointnetkl.segmentation.soundings import SoundingsError
@@ -17,6 +16,7 @@ from pointnetkl.segmentation.tiles import TilesError
 from pointnetkl.surveys import pose, submap, survey
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import artifacts
+from whole_survey import Cut
 
 ROOT = Path(__file__).parents[2]
 EDGE_M, SPACING_M = 50.0, 2.0

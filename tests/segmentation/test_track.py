@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-import whole_survey
 
+import whole_survey
 from pointnetkl import segmentation
 from pointnetkl.segmentation import track
 from pointnetkl.surveys.survey import PINGS

@@ -16,7 +16,7 @@ from rasterio.transform import from_origin
 from conftest import REALDATA
 from pointnetkl import simulation
 from pointnetkl.simulation import grid, noise, seabed, sonar, vehicle
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
@@ -40,7 +40,7 @@ class Plane:
 
 def chosen(**changes: object) -> simulation.Settings:
     """Return borno_8 of params.yaml on one short line, changed."""
-    found = settings.read(PARAMS, "simulate.borno_8", simulation.Settings)
+    found = parameters.read(PARAMS, "simulate.borno_8", simulation.Settings)
     layout = vehicle.Layout(
         lines=1, line_length_m=60.0, line_spacing_m=40.0, start_jitter_m=0.0, repeat_m=0.0, azimuth_deg=0.0
     )
@@ -49,7 +49,7 @@ def chosen(**changes: object) -> simulation.Settings:
 
 def craft(**sonar_changes: float) -> vehicle.Settings:
     """Return the Hugin of params.yaml without sway, noise or drift, its sonar changed."""
-    found = settings.read(PARAMS, "vehicles.hugin", vehicle.Settings)
+    found = parameters.read(PARAMS, "vehicles.hugin", vehicle.Settings)
     quiet = {"noise_m": 0.0, "dropouts": 0.0, "outliers": 0.0}
     return vehicle.Settings(
         speed_mps=found.speed_mps,
@@ -61,7 +61,7 @@ def craft(**sonar_changes: float) -> vehicle.Settings:
 
 def hugin() -> vehicle.Settings:
     """Return the Hugin of params.yaml as it is."""
-    return settings.read(PARAMS, "vehicles.hugin", vehicle.Settings)
+    return parameters.read(PARAMS, "vehicles.hugin", vehicle.Settings)
 
 
 def sail(how: simulation.Settings, with_: vehicle.Settings, over: seabed.Seabed) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -184,7 +184,7 @@ def test_a_beam_ends_on_the_seabed_however_steep():
 
 
 def test_navigation_starts_at_the_truth_and_drifts():
-    how = settings.read(PARAMS, "simulate.thwaites_11", simulation.Settings)
+    how = parameters.read(PARAMS, "simulate.thwaites_11", simulation.Settings)
     lines = vehicle.lines(how.layout, np.random.default_rng(0))
     track = vehicle.sail(lines, 0.0, 3.0, 60.0, hugin(), Plane(100.0), np.random.default_rng(1))
     x, y, _ = vehicle.dead_reckoned(track, hugin().navigation, np.random.default_rng(2))

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from toy_survey import CLOSURE, graph
 
 from pointnetkl.slam.benchmark import authors_slips
 from pointnetkl.slam.graph import pose_graph
+from toy_survey import CLOSURE, graph
 
 BLOCK = np.array([[3.35, -3.13], [-3.13, 5.45]])  # one of the authors' Antarctic loop closures, m^2
 ACTS = np.array([[1.55, -1.67], [-1.67, 7.24]])  # and as it acts in their program

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from toy_survey import REGISTRATION, SETTINGS, SPACING, graph
 
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
@@ -21,7 +20,8 @@ from pointnetkl.slam.closures import loop_closure, terrain
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose, submap
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
+from toy_survey import REGISTRATION, SETTINGS, SPACING, graph
 
 ROOT = Path(__file__).parents[2]
 LABEL = monte_carlo.Settings(2, "same", 1.0, 0.02, 0)
@@ -202,8 +202,8 @@ def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: 
         "label": LABEL,
         "registration": REGISTRATION,
     }
-    parameters = {name: settings.as_metadata(values) for name, values in sections.items()}
-    (folder / "params.yaml").write_text(yaml.safe_dump(parameters))
+    params = {name: parameters.as_metadata(values) for name, values in sections.items()}
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
     command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]
     chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
     (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(chosen), 0.01, {}))

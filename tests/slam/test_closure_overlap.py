@@ -4,12 +4,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from toy_survey import REGISTRATION, SPACING, SWATH, graph
 
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import overlap
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
+from toy_survey import REGISTRATION, SPACING, SWATH, graph
 
 REACH = 2 * SPACING
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from toy_survey import graph
 
 from pointnetkl.slam.graph import graph_file, survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraphError
 from pointnetkl.workflow import artifacts
+from toy_survey import graph
 
 ARRAYS = survey_graph.to_arrays(graph()[1])
 MADE_WITH = {"spacing_m": 0.8, "graph": {"draws": 2, "cell_factor": 5.0}}

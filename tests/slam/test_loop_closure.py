@@ -6,12 +6,12 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 from pointnetkl.slam.closures import graph_construction, loop_closure
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures
 from pointnetkl.surveys import pose
+from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
 SUBMAPS = pd.DataFrame({"time_s": [1.0], "yaw_rad": [np.pi]})

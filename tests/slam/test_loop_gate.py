@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
-from toy_survey import SETTINGS, SPACING, graph
 
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.robust import loop_gate
 from pointnetkl.surveys import pose
+from toy_survey import SETTINGS, SPACING, graph
 
 SUBMAPS, GRAPH = graph(3, 4)
 CLOUDS = [s.points for s in SUBMAPS]

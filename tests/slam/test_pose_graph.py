@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from toy_survey import CLOSURE, DEAD_RECKONING
 
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges, PoseGraph
 from pointnetkl.surveys import pose
+from toy_survey import CLOSURE, DEAD_RECKONING
 
 # A first line east; a second one crosses it northwards: its submap's x is the map's y.
 CROSSING = np.array(

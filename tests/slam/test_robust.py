@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_survey import CLOSURE, DEAD_RECKONING
 
 from pointnetkl.registration.covariance import metrics
 from pointnetkl.slam.graph import gtsam_search, pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators
 from pointnetkl.surveys import pose
+from toy_survey import CLOSURE, DEAD_RECKONING
 
 THRESHOLDS = estimators.Thresholds(1.345, 1.0, 1.0, 0.99, 2.0)
 SQUARE = np.array(  # sailed twice, the second time over the same ground

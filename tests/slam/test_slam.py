@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
-from toy_survey import graph
 
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.slam.graph.pose_graph import Edges
+from toy_survey import graph
 
 SETTINGS = protocol.Settings(3, 4, 2, 0.05, "all", 0.0, 2, 15.0, 2)
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from toy_survey import graph
 
 from pointnetkl.slam.benchmark import errors as slam_errors
 from pointnetkl.surveys import pose
+from toy_survey import graph
 
 _, GRAPH = graph(3, 4)
 EDGES = GRAPH.closures.edges

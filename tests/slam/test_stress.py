@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from toy_survey import SETTINGS as GRAPH_SETTINGS
-from toy_survey import SPACING, graph
 
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.robust import estimators, false_closures, loop_gate, stress
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
+from toy_survey import SETTINGS as GRAPH_SETTINGS
+from toy_survey import SPACING, graph
 
 SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
 THRESHOLDS = estimators.Thresholds(1.345, 1.0, 1.0, 0.99, 2.0)
@@ -160,7 +160,10 @@ def test_a_method_that_nobody_estimated_is_named():
 
 
 def test_the_noise_is_not_that_of_the_benchmark_of_covariances():
-    slam, chosen = settings.read(PARAMS, "slam", protocol.Settings), settings.read(PARAMS, "stress", stress.Settings)
+    slam, chosen = (
+        parameters.read(PARAMS, "slam", protocol.Settings),
+        parameters.read(PARAMS, "stress", stress.Settings),
+    )
     case = dataclasses.replace(CASE, yaw_sigma_rad=slam.yaw_sigma_rad, settings=chosen)
     of_slam = [protocol.corrupt(GRAPH, draw, repetition, slam) for draw in range(10) for repetition in range(10)]
     for repetition in range(10):

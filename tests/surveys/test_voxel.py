@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import whole_survey
 
+import whole_survey
 from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.surveys import submap, voxel

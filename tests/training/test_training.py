@@ -14,7 +14,6 @@ import pytest
 import torch
 import yaml
 from test_dataset import write
-from toy_labels import until
 
 from pointnetkl import training
 from pointnetkl.models import cholesky, model_file
@@ -25,7 +24,8 @@ from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.training import checkpoint, dataset, device
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
+from toy_labels import until
 
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
@@ -291,10 +291,10 @@ def test_one_wild_label_does_not_make_the_step_long():
     lengths = []
     clip = torch.nn.utils.clip_grad_norm_
 
-    def watched(parameters, longest):
-        parameters = list(parameters)
-        before = clip(parameters, longest)
-        after = torch.nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+    def watched(params, longest):
+        params = list(params)
+        before = clip(params, longest)
+        after = torch.nn.utils.get_total_norm([p.grad for p in params if p.grad is not None])
         lengths.append((float(before), float(after)))
 
     with pytest.MonkeyPatch.context() as patch:
@@ -325,7 +325,7 @@ def prepare_stage(folder: Path) -> list[str | Path]:
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["study"]["train"] = {n: params["study"]["train"][n] for n in ("baltic", "shetland")}
     small = {"scale_input": True, "hidden_layers": 1, "hidden_width": 16, "dropout": 0.1}
-    chosen = {**settings.as_metadata(QUICK), "steps": 40, "validate_every": 5}
+    chosen = {**parameters.as_metadata(QUICK), "steps": 40, "validate_every": 5}
     params["models"] = {"mine": {"kind": "pointnetkl", "network": small, "train": chosen}}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     made = {"weights": "m.pt", "onnx": "m.onnx", "card": "m.md", "loss": "loss.csv", "summary": "summary.json"}

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from local_dask import LocalDask
 
+from local_dask import LocalDask
 from pointnetkl.workflow import cluster, compute
 from pointnetkl.workflow.cluster import ClusterError
 

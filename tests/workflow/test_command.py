@@ -9,7 +9,7 @@ import pytest
 
 from pointnetkl.workflow import command
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import SettingsError
+from pointnetkl.workflow.parameters import SettingsError
 
 
 def run(monkeypatch: pytest.MonkeyPatch, error: Exception | None, *arguments: str) -> list[argparse.Namespace]:

@@ -40,10 +40,10 @@ def run(arguments: argparse.Namespace) -> int:
     from pointnetkl.exchange import g2o, graph_exchange, tum
     from pointnetkl.slam.benchmark import protocol
     from pointnetkl.slam.graph import graph_file, pose_graph, survey_graph
-    from pointnetkl.workflow import settings
+    from pointnetkl.workflow import parameters
 
     shared.require_apart(arguments.out, arguments.tum)
-    how = settings.read(arguments.params, "slam", protocol.Settings)
+    how = parameters.read(arguments.params, "slam", protocol.Settings)
     survey = graph_file.read(arguments.graph).graph
     if not survey.track:
         raise shared.CommandError(f"{arguments.graph}: is of points without a track, so it has no edges to export")

@@ -54,10 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
     from pointnetkl.exchange import graph_solver, posed_submaps
     from pointnetkl.registration import gicp
     from pointnetkl.slam.closures import loop_closure
-    from pointnetkl.workflow import settings
+    from pointnetkl.workflow import parameters
 
-    how = _covered(settings.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
-    registration = settings.read(arguments.params, "registration", gicp.Settings)
+    how = _covered(parameters.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
     model = estimator.CovarianceEstimator.load(arguments.model)
     submaps, poses = posed_submaps.read(arguments.submaps)
     judged = [_judge(model, path, s.points) for path, s in zip(arguments.submaps, submaps, strict=True)]

@@ -69,9 +69,9 @@ def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
     """Return the solution by a robust estimator; print the loop closures that it did not believe."""
     from pointnetkl.exchange import graph_exchange, graph_solver
     from pointnetkl.slam.robust import estimators
-    from pointnetkl.workflow import settings
+    from pointnetkl.workflow import parameters
 
-    thresholds = settings.read(arguments.params, "stress.thresholds", estimators.Thresholds)
+    thresholds = parameters.read(arguments.params, "stress.thresholds", estimators.Thresholds)
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
     if not len(doubted):
         raise shared.CommandError(f"{arguments.graph}: has no loop closure to doubt; leave --robust out")

@@ -20,7 +20,7 @@ from pointnetkl.segmentation import spacing
 from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed
+from pointnetkl.workflow.parameters import require_positive, require_seed
 
 RUNS, CONDITIONS = "runs", "conditions"  # studies: parts of many runs; labels under other spacings and noises
 VARIATIONS = pa.schema(

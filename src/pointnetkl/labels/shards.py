@@ -21,7 +21,7 @@ from pointnetkl.registration.gicp import GicpError
 from pointnetkl.registration.monte_carlo import Label, MonteCarloError
 from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, compute, settings
+from pointnetkl.workflow import artifacts, compute, parameters
 from pointnetkl.workflow.artifacts import ArtifactError
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -94,8 +94,8 @@ class Job:
             "submap": of.number,
             "points": [(p.dtype.str, p.shape, hashlib.sha256(p.tobytes()).hexdigest()) for p in points],
             "runs": self.runs,
-            "settings": settings.as_metadata(self.settings),
-            "registration": settings.as_metadata(self.registration),
+            "settings": parameters.as_metadata(self.settings),
+            "registration": parameters.as_metadata(self.registration),
             "kernel": self.kernel,
         }
         return self.folder / f"{_hash(content)}.npz"

@@ -11,7 +11,7 @@ from pointnetkl.methods.fitted import constant
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.registration.covariance.method import Method
-from pointnetkl.workflow.settings import require_seed
+from pointnetkl.workflow.parameters import require_seed
 
 _MOST_RUNS = 1_000_000  # as of a label: their errors are held at once
 

@@ -14,7 +14,7 @@ import numpy as np
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _SHORT_S, _ROUNDS = 0.1, 9
@@ -42,8 +42,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        settings.require_seed(self.seed)
-        settings.require_positive(self, "submaps", "spacing_m")
+        parameters.require_seed(self.seed)
+        parameters.require_positive(self, "submaps", "spacing_m")
         if min(self.points, self.runs) < 3:
             raise ValueError(f"points is {self.points} and runs {self.runs}, must be at least 3 each")
 

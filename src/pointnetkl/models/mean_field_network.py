@@ -17,7 +17,7 @@ from pointnetkl.models import mean_field
 from pointnetkl.models.mean_field import Conditions, Description
 from pointnetkl.models.model import Example, Model
 from pointnetkl.training.dataset import Samples
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 AXIS, WHOLE = 5, 3  # numbers that describe an axis, and the submap
@@ -46,7 +46,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no network."""
-        settings.require_positive(self, "members", "hidden_width", "most")
+        parameters.require_positive(self, "members", "hidden_width", "most")
         if self.jitter < 0:
             raise ValueError(f"jitter is {self.jitter:g}, must be 0 or above")
         if self.dimensions not in (2, 3):

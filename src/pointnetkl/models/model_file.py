@@ -15,7 +15,7 @@ from pointnetkl.models import mean_field_network
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.model import Covariance, Model
 from pointnetkl.models.novelty import Known
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 # The settings and the class of each kind of model, by the name that stands in section `models` of the parameters.
@@ -58,7 +58,7 @@ def to_bytes(name: str, model: Model, voxel: float, metadata: Mapping[str, Any],
     """
     content = {
         "kind": name,
-        "network": settings.as_metadata(model.settings),
+        "network": parameters.as_metadata(model.settings),
         "voxel": voxel,
         "metadata": dict(metadata),
         "weights": {key: tensor.cpu() for key, tensor in model.state_dict().items()},

@@ -17,7 +17,7 @@ from torch.nn import functional
 from pointnetkl.models.model import Example, Model
 from pointnetkl.training import dataset
 from pointnetkl.training.dataset import Samples
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 _CACHED = 1024  # points whose 1024 features stay in a core's cache until their largest are found
 
@@ -38,7 +38,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no network."""
-        settings.require_positive(self, "hidden_layers", "hidden_width")
+        parameters.require_positive(self, "hidden_layers", "hidden_width")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout is {self.dropout:g}, must be at least 0 and below 1")
         if self.dimensions not in (2, 3):

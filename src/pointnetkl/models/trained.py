@@ -12,7 +12,7 @@ from pointnetkl.models.model_file import Stored
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.surveys import voxel
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, settings
+from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _DECIDE_LABELS = ("copy", "noise_sigma_m", "prior_variance_m2")  # of section `label`: another value, another Q
@@ -63,7 +63,7 @@ def check(path: Path, stored: Stored, label: monte_carlo.Settings, registration:
             f"{path}: was trained for registration.dof {learned}, and the parameters have {registration.dof};"
             f" run dvc repro train@{path.stem}"
         )
-    sections = {"label": settings.as_metadata(label), "registration": settings.as_metadata(registration)}
+    sections = {"label": parameters.as_metadata(label), "registration": parameters.as_metadata(registration)}
     for section, now in sections.items():
         then = stored.metadata.get(section, {})
         for key in _DECIDE_LABELS if section == "label" else now:

@@ -17,7 +17,7 @@ from pointnetkl.readers.formats import FORMATS
 from pointnetkl.readers.georeference import Take
 from pointnetkl.readers.spool import Spool
 from pointnetkl.surveys.survey import TRAJECTORY, Survey, SurveyError
-from pointnetkl.workflow import artifacts, compute, errors, settings
+from pointnetkl.workflow import artifacts, compute, errors, parameters
 
 __all__ = ["FORMATS", "ReaderError", "Settings", "files", "read", "read_truth"]
 
@@ -47,7 +47,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse a zone that is not one before any file is read."""
-        settings.require_seed(self.seed)
+        parameters.require_seed(self.seed)
         if not re.fullmatch(r"auto|EPSG:\d{4,6}", self.utm_zone):
             raise ValueError(f"utm_zone is {self.utm_zone!r}, must be auto or a code such as EPSG:32633")
         if self.sbet_clock not in (sbet.GPS, sbet.UTC):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 _SIDE = 5  # beams on either side that a beam is judged by
 PINGS = 2  # before and after, whose soundings keep a suspect company: with two heads every other one is the other's
@@ -35,8 +35,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that no filter can have."""
-        settings.require_within(self, 0.0, np.inf, "sigmas")
-        settings.require_within(self, 0.0, 1.0, "depth_share")
+        parameters.require_within(self, 0.0, np.inf, "sigmas")
+        parameters.require_within(self, 0.0, 1.0, "depth_share")
 
 
 NONE = Settings(0.0, 0.0)

@@ -12,7 +12,7 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed
+from pointnetkl.workflow.parameters import require_positive, require_seed
 
 # Streams of random numbers: held-out errors share no draw with the label. Not 0, which NumPy's seeding ignores.
 LABEL, HELD_OUT = 1, 2

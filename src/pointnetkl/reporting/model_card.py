@@ -11,8 +11,8 @@ from pointnetkl.workflow.study import StudySurvey
 _TAKES = {
     "pointnetkl": (
         "`points` (clouds, points, 3), float32: zero mean, scaled to a largest norm of 1, one mean point a voxel of"
-        " {voxel:g}; `radius` (clouds,), float32: the largest norm before, in metres (`pointnetkl.surveys.voxel.canonical`"
-        " gives both)"
+        " {voxel:g}; `radius` (clouds,), float32: the largest norm before, in metres"
+        " (`pointnetkl.surveys.voxel.canonical` gives both)"
     ),
     "mean_field": (
         "`description` (clouds, numbers), float32: what `model.describe(points)` of this package's model gives; the"

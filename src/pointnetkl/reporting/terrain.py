@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from pointnetkl import simulation
 from pointnetkl.simulation import seabed
 from pointnetkl.surveys import pose
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 TOTAL = "total"
 # hills and texture are the ground that every place has: it is flat, smooth or rugged
@@ -41,7 +41,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        settings.require_positive(self, "flat_slope")
+        parameters.require_positive(self, "flat_slope")
         if not self.rugged_slope > self.flat_slope:
             raise ValueError(f"rugged_slope is {self.rugged_slope:g}, must be above flat_slope, {self.flat_slope:g}")
 

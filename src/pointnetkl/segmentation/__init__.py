@@ -15,7 +15,7 @@ from pointnetkl.segmentation import halves, soundings, spacing, track
 from pointnetkl.segmentation.soundings import XYZ, Forward
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import POSES, Submap
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 Take = Callable[[Submap], None]
@@ -41,8 +41,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse a gap or a turn that would end a line at every ping."""
-        settings.require_positive(self, "max_gap_m", "max_turn_rad")
-        settings.require_seed(self.seed)
+        parameters.require_positive(self, "max_gap_m", "max_turn_rad")
+        parameters.require_seed(self.seed)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pointnetkl.simulation import grid, seabed, sonar, vehicle
 from pointnetkl.simulation.vehicle import Layout  # `vehicle` is also the name of a setting
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed
+from pointnetkl.workflow.parameters import require_positive, require_seed
 
 _NAVIGATION = ("time_s", "x_m", "y_m", "depth_m", "roll_rad", "pitch_rad", "heading_rad")
 _SOUNDING = ("along_m", "across_m", "down_m")

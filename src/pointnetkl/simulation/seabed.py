@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from pointnetkl.simulation import noise
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 
 class Seabed(Protocol):
@@ -47,7 +47,7 @@ class Field:
         Raises:
             ValueError: the slopes are not two positive numbers in rising order, or a length is not positive.
         """
-        settings.require_positive(self, "length_m", "octaves", "stretch")
+        parameters.require_positive(self, "length_m", "octaves", "stretch")
         if len(self.slope) != 2 or not 0 < self.slope[0] <= self.slope[1]:
             raise ValueError(f"slope is {self.slope}, must be [flattest, steepest], both above zero")
 
@@ -68,7 +68,7 @@ class Relief:
         Raises:
             ValueError: the flat share is not between 0 and 1, or a length is not positive.
         """
-        settings.require_positive(self, "length_m", "stretch")
+        parameters.require_positive(self, "length_m", "stretch")
         if not 0 < self.flat < 1:
             raise ValueError(f"flat is {self.flat}, must be between 0 and 1")
 

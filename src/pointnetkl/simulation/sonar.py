@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointnetkl.simulation.seabed import Seabed
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _ITERATIONS = 10
@@ -37,7 +37,7 @@ class Settings:
         Raises:
             ValueError: a number is out of its range.
         """
-        settings.require_positive(self, "sector_deg", "beams", "range_limit")
+        parameters.require_positive(self, "sector_deg", "beams", "range_limit")
         if self.sector_deg > 170:
             raise ValueError(f"sector_deg is {self.sector_deg}, must be at most 170")
 

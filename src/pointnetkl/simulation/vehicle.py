@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from pointnetkl.simulation import sonar
 from pointnetkl.simulation.seabed import Seabed
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 EPOCH_S = 1_600_000_000.0  # when every simulated survey starts: no clock is read
@@ -55,7 +55,7 @@ class Settings:
         Raises:
             ValueError: its speed is not positive.
         """
-        settings.require_positive(self, "speed_mps")
+        parameters.require_positive(self, "speed_mps")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Layout:
         Raises:
             ValueError: there is no line, or a length is not positive.
         """
-        settings.require_positive(self, "lines", "line_length_m", "line_spacing_m")
+        parameters.require_positive(self, "lines", "line_length_m", "line_spacing_m")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 
@@ -26,7 +26,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse a voxel that would hold the whole sphere, or that no integer grid can number."""
-        settings.require_seed(self.seed)
+        parameters.require_seed(self.seed)
         if not 1e-4 <= self.voxel <= 1:
             raise ValueError(f"voxel is {self.voxel:g}, must be between 0.0001 and 1: a share of the radius")
 

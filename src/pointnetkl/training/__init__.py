@@ -15,7 +15,7 @@ from pointnetkl.models.model import Model
 from pointnetkl.training import batch_norm, dataset, device, loss
 from pointnetkl.training.checkpoint import Checkpoint
 from pointnetkl.training.dataset import Samples
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 # Streams of random numbers, so that validating more often changes no training batch.
@@ -54,9 +54,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what cannot train."""
-        settings.require_seed(self.seed)
-        settings.require_positive(self, "threads", "steps", "points", "learning_rate", "gradient_norm")
-        settings.require_positive(self, "validation_blocks", "validate_every", "patience", "statistics_batches")
+        parameters.require_seed(self.seed)
+        parameters.require_positive(self, "threads", "steps", "points", "learning_rate", "gradient_norm")
+        parameters.require_positive(self, "validation_blocks", "validate_every", "patience", "statistics_batches")
         for name in ("batch", "statistics_batch"):
             if getattr(self, name) < 2:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be at least 2: a batch norm needs two submaps")

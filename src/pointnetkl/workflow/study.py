@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 
 _MOST_RUNS = 1_000_000  # of a label: their errors are held at once
 _PREDICTING = ("pointnetkl", "network")  # the models that stages predict and time read
@@ -25,7 +25,7 @@ class StudySurvey:
 
     def __post_init__(self) -> None:
         """Refuse what no submap can be cut by."""
-        settings.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
+        parameters.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
         if self.label_runs > _MOST_RUNS:
             raise ValueError(f"label_runs is {self.label_runs}, must be at most {_MOST_RUNS}")
         if self.submap_length_m < 2 * self.point_spacing_m:
@@ -67,7 +67,7 @@ def read(path: Path) -> Study:
     Raises:
         SettingsError: a line is wrong.
     """
-    return settings.read(path, "study", Study)
+    return parameters.read(path, "study", Study)
 
 
 def survey(path: Path, name: str) -> StudySurvey:
@@ -76,4 +76,4 @@ def survey(path: Path, name: str) -> StudySurvey:
     Raises:
         SettingsError: there is no such survey, or its line is wrong.
     """
-    return settings.read(path, f"study.surveys.{name}", StudySurvey)
+    return parameters.read(path, f"study.surveys.{name}", StudySurvey)

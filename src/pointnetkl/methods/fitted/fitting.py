@@ -11,7 +11,7 @@ from pointnetkl.methods import labelled
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 
@@ -35,8 +35,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        settings.require_seed(self.seed)
-        settings.require_positive(self, "starts", "judged")
+        parameters.require_seed(self.seed)
+        parameters.require_positive(self, "starts", "judged")
         if self.blocks < 2:
             raise ValueError(f"blocks is {self.blocks}, must be at least 2: one block leaves none to judge it by")
         if not self.floor_m2 >= 0:

@@ -10,7 +10,7 @@ from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import calibrated, cello, constant, fitting, structure_tensor
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.workflow import artifacts
-from pointnetkl.workflow.settings import require_seed
+from pointnetkl.workflow.parameters import require_seed
 
 
 class Learner(Protocol):

@@ -10,7 +10,7 @@ import numpy as np
 from pointnetkl.registration.gicp import kernel, matching, neighbours, normals
 from pointnetkl.registration.gicp.noise import Noise
 from pointnetkl.surveys import pose
-from pointnetkl.workflow import settings
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _LARGEST_M = 1e5  # float32 places a point within 4 mm up to here
@@ -46,7 +46,7 @@ class Settings:
         """Refuse what makes no sense."""
         if self.dof not in ("xy", "xyyaw"):
             raise ValueError(f"dof is {self.dof!r}, must be xy or xyyaw")
-        settings.require_positive(self, "max_distance_m", "tolerance_m", "max_iterations")
+        parameters.require_positive(self, "max_distance_m", "tolerance_m", "max_iterations")
         if self.neighbours < 3:
             raise ValueError(f"neighbours is {self.neighbours}, must be at least 3: fewer points have no plane")
         if not _LEAST_EPSILON <= self.plane_epsilon <= 1:

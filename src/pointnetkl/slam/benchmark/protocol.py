@@ -20,7 +20,7 @@ from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed, require_within
+from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
 
 # A row per variant, method, draw and repetition; `navigation` has one row, all repetitions of it would be the same.
 _ERRORS = ("rmse_xyz_m", "rmse_se2_m", "rmse_4dof_m")  # as they are, and aligned in two ways: see slam_errors

@@ -25,7 +25,7 @@ from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_seed
+from pointnetkl.workflow.parameters import require_seed
 
 SPLIT, PAIR = "split", "pair"  # methods: the label of submap i by copy split, and Q_ij
 _KINDS = ("error", "gt_error", "placed_error")

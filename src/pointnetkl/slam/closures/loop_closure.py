@@ -14,7 +14,7 @@ from pointnetkl.slam.graph.survey_graph import Closures
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed, require_within
+from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
 
 
 class LoopClosureError(PointNetKLError):

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_within
+from pointnetkl.workflow.parameters import require_within
 
 XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
 # Beside variances of 1e-6 m^2 Cholesky cannot solve the system. Levenberg-Marquardt takes that for a bad step, and

@@ -14,7 +14,7 @@ import numpy as np
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive
+from pointnetkl.workflow.parameters import require_positive
 
 KERNELS = ("plain", "huber", "cauchy", "dcs", "gnc")  # plain: no robust estimator
 FIRST = "cauchy"  # finds its way from corrupted poses; the others begin where it ends

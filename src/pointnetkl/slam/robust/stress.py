@@ -21,7 +21,7 @@ from pointnetkl.slam.robust import estimators, false_closures
 from pointnetkl.slam.robust.estimators import RobustGraph, Solution, Thresholds
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.settings import require_positive, require_seed
+from pointnetkl.workflow.parameters import require_positive, require_seed
 
 # A row per kernel, start, share, method and repetition. What a run that failed would have found is null.
 ROWS = pa.schema(

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from pointnetkl import segmentation
 from pointnetkl.surveys import voxel
-from pointnetkl.workflow import settings, study
-from pointnetkl.workflow.settings import SettingsError
+from pointnetkl.workflow import parameters, study
+from pointnetkl.workflow.parameters import SettingsError
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ few = hypothesis_settings(max_examples=40, deadline=None, suppress_health_check=
 def read(folder: Path, content: object, section: str = "s", kind: type = Outer) -> object:
     path = folder / "params.yaml"
     path.write_text(yaml.safe_dump({"s": content}))
-    return settings.read(path, section, kind)
+    return parameters.read(path, section, kind)
 
 
 def complaint(folder: Path, content: object, section: str = "s", kind: type = Outer) -> str:
@@ -110,7 +110,7 @@ def test_a_missing_section_lists_what_there_is(tmp_path: Path):
 def test_a_file_that_is_no_parameter_file_is_one_sentence(tmp_path: Path):
     path = tmp_path / "params.yaml"
     with pytest.raises(SettingsError, match="cannot be read"):
-        settings.read(path, "s", Inner)
+        parameters.read(path, "s", Inner)
     for content, message in [
         (b"a: [1", "is not valid YAML"),
         (b"\xff\xfe\x00", "is not"),
@@ -118,7 +118,7 @@ def test_a_file_that_is_no_parameter_file_is_one_sentence(tmp_path: Path):
     ]:
         path.write_bytes(content)
         with pytest.raises(SettingsError, match=message):
-            settings.read(path, "s", Inner)
+            parameters.read(path, "s", Inner)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_study_without_the_models_that_predict_is_refused(tmp_path: Path, mode
 
 
 def test_metadata_holds_what_was_read():
-    assert settings.as_metadata(Inner(1, 2.0)) == dataclasses.asdict(Inner(1, 2.0))
+    assert parameters.as_metadata(Inner(1, 2.0)) == dataclasses.asdict(Inner(1, 2.0))
 
 
 def test_a_study_that_tests_on_what_it_trained_on_is_refused(tmp_path: Path):
@@ -166,5 +166,5 @@ def test_a_study_that_tests_on_what_it_trained_on_is_refused(tmp_path: Path):
     path = tmp_path / "params.yaml"
     for train, test in (("x", "x"), ("x", "y")):  # the same name; other names for the same raw files
         path.write_text(f"study:\n  train: {{{train}: {line}}}\n  test: {{{test}: {line}}}\n  surveys: {{}}\n")
-        with pytest.raises(settings.SettingsError, match="train"):
+        with pytest.raises(parameters.SettingsError, match="train"):
             study.read(path)
