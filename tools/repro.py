@@ -1,7 +1,4 @@
-"""Run `dvc repro`, and say before which scale runs and after how long each stage took.
-
-A simulated survey whose grid is not here is left out: grids are other people's, and do not come with the project.
-"""
+"""Run `dvc repro`; print the scale before it, and the seconds of each stage after it."""
 
 import os
 import re
@@ -21,47 +18,18 @@ def main() -> int:
     bin_folder = Path(sys.executable).parent
     environment = os.environ | {
         "PATH": f"{bin_folder}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONUNBUFFERED": "1",  # or the stages' lines would come after DVC's
+        "PYTHONUNBUFFERED": "1",  # otherwise a stage's lines come after those of DVC
         "DVC_NO_ANALYTICS": "1",
     }
     dvc = str(bin_folder / "dvc")
     if not (ROOT / ".git").exists():
-        # an unpacked archive: DVC works without git when told so
+        # an unpacked archive has no .git, and DVC then needs this setting
         subprocess.run([dvc, "config", "--local", "core.no_scm", "true"], env=environment, check=True)
-    leave_out_gridless(ROOT / "params.yaml")
     announce()
     begun = time.monotonic()
     status, seconds = follow([dvc, "repro", *sys.argv[1:]], environment)
     summarise(seconds, time.monotonic() - begun)
     return status
-
-
-def leave_out_gridless(path: Path) -> None:
-    """Make comments of the lines of test surveys whose grid is missing, and say so."""
-    params = yaml.safe_load(path.read_text())
-    for name in sorted(params["study"]["test"].keys() & params["simulate"].keys()):
-        grid = params["simulate"][name]["grid"]
-        # one that DVC knows of may be somewhere else; one that it does not know of is a mistake, which it will name
-        if not Path(grid).exists() and Path(f"{grid}.dvc").exists():
-            path.write_text(without(path.read_text(), name))
-            print(
-                f"{grid} is not here, so the survey {name} is left out: its lines in params.yaml are comments now."
-                f"\ndata/grids/README.md says where the grid is from; put it there, and take the # away again"
-            )
-
-
-def without(text: str, survey: str) -> str:
-    """Return parameters with a survey's line below study.test and its entry below simulate as comments."""
-    lines, section, inside, listed = [], "", False, False
-    for line in text.splitlines():
-        if re.match(r"\w", line):
-            section = line.split(":")[0]
-        if re.match(r" {0,2}\w", line):
-            inside = section == "simulate" and line.split("#")[0].strip() == f"{survey}:"
-        if not line.startswith("     "):  # DVC folds long lines: what is indented deeper goes on with the one before
-            listed = section == "study" and line.startswith(f"    {survey}:")
-        lines.append(f"# {line}" if inside or listed else line)
-    return "\n".join(lines) + "\n"
 
 
 def announce() -> None:
@@ -71,7 +39,7 @@ def announce() -> None:
 
 
 def follow(command: list[str], environment: dict[str, str]) -> tuple[int, dict[str, float]]:
-    """Run a command, pass its lines on, and time the stages that they announce, in seconds."""
+    """Run a command and print its lines; return its exit status, and the seconds of every stage that it announces."""
     seconds: dict[str, float] = {}
     running, since = "", time.monotonic()
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
@@ -89,7 +57,7 @@ def follow(command: list[str], environment: dict[str, str]) -> tuple[int, dict[s
 
 
 def summarise(seconds: dict[str, float], total: float) -> None:
-    """Print seconds per stage, its surveys added up."""
+    """Print the runs and the seconds of each stage, added up over its surveys."""
     stages: dict[str, list[float]] = {}
     for name, spent in seconds.items():
         stages.setdefault(name.split("@")[0], []).append(spent)

@@ -1,11 +1,18 @@
 #!/usr/bin/env bash
-# Install the project into .venv: system packages brought (as root on Debian or Ubuntu) or named, then the lock file.
+# Install the project into .venv: first the system packages (as root on Debian or Ubuntu; elsewhere it names them), then
+# the packages of requirements.lock.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 PYTHON=${PYTHON:-python3}
 
+if [ -L .venv ]; then  # before anything else: python -m venv --clear would empty the folder that the link names
+  echo "error: $PWD/.venv is a link to $(readlink .venv); setup installs into a folder of this project only:" \
+    "remove the link (rm .venv) and run make again" >&2
+  exit 1
+fi
+
 missing=()
-# read once: a pipe into grep -q would fail now and then, as grep leaves before ldconfig ends
+# Read once: a pipe into grep -q would fail now and then, because grep leaves before ldconfig ends.
 libraries=$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || find /lib /usr/lib /usr/local/lib -name '*.so*' 2>/dev/null || true)
 has_library() { grep -qF "$1" <<<"$libraries"; }
 if [ "$(uname -s)" = Linux ]; then
@@ -16,7 +23,7 @@ if [ "$(uname -s)" = Linux ]; then
   elif ! "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null; then
     missing+=("$(basename "$PYTHON")-venv")
   fi
-  # OpenMP for numba and torch; the others are what open3d links to, screen or not
+  # numba and torch need OpenMP; open3d links to the others, with a screen or without
   for pair in libgomp.so.1:libgomp1 libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1 \
               libX11.so.6:libx11-6 libudev.so.1:libudev1 libidn2.so.0:libidn2-0; do
     has_library "${pair%%:*}" || missing+=("${pair##*:}")

@@ -8,10 +8,6 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-import repro  # noqa: E402
-
 COPIED = (
     "pipeline",
     "src",
@@ -39,8 +35,6 @@ class Workspace:
                 shutil.copy(source, target)
         (folder / "data").mkdir(exist_ok=True)
         shutil.copy(ROOT / "data/none", folder / "data/none")
-        params = folder / "params.yaml"
-        params.write_text(repro.without(params.read_text(), "scituate"))  # its grid does not come with the project
         self.run("git", "init", "-q")
         self.commit("begin")
 
