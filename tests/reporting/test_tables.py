@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from pointnetkl.reporting import paper, tables, text_table
+from pointnetkl.reporting.slam import tables as slam_tables
 
 DATASETS = {
     "baltic": {"simulated": True, "vehicle": "surveyor", "area_km2": 252.4, "submaps": 7543, "sigma_z": 0.067827},
@@ -98,19 +99,19 @@ def test_the_label_s_own_coverage_stands_beside_every_method_s():
 
 
 def test_table_4_has_the_paper_s_row_below_ours_and_says_which_is_simulated():
-    ours, theirs = rows(tables.table_4(SLAM, DATASETS)[0], survey="borno_8", error_m="RMSE_xyz, GT")
+    ours, theirs = rows(slam_tables.table_4(SLAM, DATASETS)[0], survey="borno_8", error_m="RMSE_xyz, GT")
     assert (ours["of"], ours["simulated"], ours["corrupted"], ours["N_LC"]) == ("ours", True, 7.0, 5)
     assert (theirs["of"], theirs["simulated"], theirs["corrupted"], theirs["N_LC"]) == ("paper", False, 210.8, 301)
 
 
 def test_a_survey_without_truth_has_a_row_of_dashes_against_it():
-    (row,) = rows(tables.table_4(SLAM, DATASETS)[0], survey="mine", error_m="RMSE_xyz, truth")
+    (row,) = rows(slam_tables.table_4(SLAM, DATASETS)[0], survey="mine", error_m="RMSE_xyz, truth")
     assert row["pointnetkl"] is None
 
 
 def test_every_method_is_listed_with_its_interval():
     slam = {"mine": {"loop_closures": 0, "odd": {"rmse_xyz_m": 3.0, "rmse_xyz_ci95_m": [2.0, 4.0]}}}
-    (row,) = rows(tables.slam_errors(slam, DATASETS), method="odd")
+    (row,) = rows(slam_tables.slam_errors(slam, DATASETS), method="odd")
     assert (row["ci_low"], row["ci_high"], row["truth_rmse_xyz_m"]) == (2.0, 4.0, None)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.reporting.slam import map_tables
+from pointnetkl.reporting.slam import tables as slam_tables
 from pointnetkl.slam.consistency import map_thinning, map_to_map
 from pointnetkl.surveys import pose
 
@@ -44,6 +44,6 @@ def test_submaps_that_barely_meet_are_overlooked_by_fewer_points():
 
 
 def test_the_table_has_the_ratio_to_the_whole_clouds(found: pd.DataFrame):
-    frame = map_tables.thinning(found, {"mine": {"simulated": True}}).frame
+    frame = slam_tables.thinning(found, {"mine": {"simulated": True}}).frame
     assert frame["ratio"][0] == 1.0
     assert frame["ratio"][2] == found["map_to_map_m"][2] / found["map_to_map_m"][0]

@@ -25,8 +25,8 @@ from pointnetkl.reporting.labels import tables as label_tables
 from pointnetkl.reporting.results import Folders, Labels, Test
 from pointnetkl.reporting.robustness import figures as robustness_plots
 from pointnetkl.reporting.robustness import numbers as robustness
+from pointnetkl.reporting.slam import consistency
 from pointnetkl.reporting.slam import figures as slam_figures
-from pointnetkl.reporting.slam import map_tables
 from pointnetkl.reporting.slam import numbers as slam_summary
 from pointnetkl.reporting.slam import tables as slam_tables
 from pointnetkl.reporting.surveys import tables as cleaning_tables
@@ -61,7 +61,7 @@ class _Found:
     training: Mapping[str, Mapping[str, float]]  # by method that learns, its KL in training and validation, nats
     runtime: Mapping[str, Any]
     variations: pd.DataFrame  # schema results.VARIATIONS
-    map_thinning: pd.DataFrame  # schema map_tables.THINNING
+    map_thinning: pd.DataFrame  # schema slam_tables.THINNING
     wrong: robustness.Found
     cleaned: Mapping[str, Mapping[str, Any]]  # cleaning_tables.read
 
@@ -103,7 +103,7 @@ def _read(folders: Folders, study: Study, settings: Settings) -> _Found:
         training=results.read_training(folders, study.models, settings.kl_floor_m2),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
         variations=results.read_variations(folders, study),
-        map_thinning=map_tables.read(folders.reports / "slam", study.test),
+        map_thinning=slam_tables.read_thinning(folders.reports / "slam", study.test),
         wrong=robustness.read(folders, study.test),
         cleaned=cleaning_tables.read(folders.data, study.surveys),
     )
@@ -167,14 +167,18 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
     }
     eigenvalues = {name: np.linalg.eigvalsh(labels.q[:, :2, :2]) for name, labels in found.labels.items()}
     rows = {name: labels.rows for name, labels in found.labels.items()}
-    kl, slam = tables.divergences(numbers["kl"], datasets), tables.slam_errors(numbers["slam"], datasets)
+    kl, slam = tables.divergences(numbers["kl"], datasets), slam_tables.slam_errors(numbers["slam"], datasets)
     methods = dict.fromkeys(method for test in found.tests.values() for method in test.covariances)
     return {
         "table_1": tables.table_1(datasets),
         "cleaning": cleaning_tables.cleaning(found.cleaned, datasets),
         "table_2": [*tables.table_2(numbers["kl"], datasets, found.training), kl],
         "table_3": tables.table_3(found.runtime, methods),
-        "table_4": [*tables.table_4(numbers["slam"], datasets), slam, slam_tables.draws(numbers["slam"], datasets)],
+        "table_4": [
+            *slam_tables.table_4(numbers["slam"], datasets),
+            slam,
+            slam_tables.draws(numbers["slam"], datasets),
+        ],
         "labels": [tables.label_quantiles(eigenvalues, datasets)],
         "label_quality": [label_tables.quality(rows, datasets)],
         "label_accuracy": [label_tables.accuracy(label_study.accuracy(found.variations), datasets)],
@@ -184,7 +188,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "calibration": [tables.calibrations(numbers["calibration"], datasets)],
         "slam": [slam],
         **slam_tables.every(numbers, datasets),
-        "map_thinning": [map_tables.thinning(found.map_thinning, datasets)],
+        "map_thinning": [slam_tables.thinning(found.map_thinning, datasets)],
         **robustness.tables(found.wrong, datasets),
         **closure_tables.every(numbers, datasets),
         **class_tables.every(numbers, datasets),
@@ -228,7 +232,10 @@ def _figures(
         yield name, plots.png(figure)
     for name, figure in robustness_plots.figures(found.wrong):
         yield name, plots.png(figure)
-    yield "consistency", plots.png(figures.consistency(folders, [n for n, test in found.tests.items() if test.track]))
+    yield (
+        "consistency",
+        plots.png(consistency.read_and_draw(folders, [n for n, test in found.tests.items() if test.track])),
+    )
     for name, figure in slam_figures.figures(surveys, spacing):
         yield name, plots.png(figure)
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):

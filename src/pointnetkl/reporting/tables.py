@@ -9,9 +9,8 @@ import numpy as np
 from pointnetkl.registration.covariance import metrics
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.covariances.numbers import GOLD
-from pointnetkl.reporting.text_table import Block, block
+from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, heading, interval
 
-Numbers = Mapping[str, Any]
 _SIZES = ("area_km2", "submaps", "sigma_z")
 COVERAGES = tuple(f"coverage_{round(100 * share)}" for share in metrics.COVERAGES)
 
@@ -54,14 +53,9 @@ def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
     return [block(caption, rows, columns)]
 
 
-def heading(survey: str, datasets: Numbers) -> str:
-    """Return a survey's name as the head of a column, which says that it is simulated where it is."""
-    return f"{survey} (simulated)" if datasets[survey]["simulated"] else survey
-
-
 def divergences(kl: Numbers, datasets: Numbers) -> Block:
     """Return KL(label || Q) in nats and the axis error of every method on every test survey."""
-    rows = [{**row, **interval(row.get("ci95")), "paper": _paper_kl(row)} for row in _by_method(kl, datasets)]
+    rows = [{**row, **interval(row.get("ci95")), "paper": _paper_kl(row)} for row in by_method(kl, datasets)]
     columns = ["survey", "simulated", "method", "mean", "ci_low", "ci_high", "median", "mean_floor0", "axis_error_deg"]
     columns += ["network_better", "paper"]
     return block("KL(label || Q) by method, nats; the interval is of the mean.", rows, columns)
@@ -71,7 +65,7 @@ def calibrations(calibration: Numbers, datasets: Numbers) -> Block:
     """Return NEES and coverage of every method on held-out registration errors."""
     columns = ["survey", "simulated", "method", "nees", *COVERAGES, "mc_coverage_95"]
     gold = {name: methods.get(GOLD, {}).get("coverage_95") for name, methods in calibration.items()}
-    rows = [{**row, "mc_coverage_95": gold[row["survey"]]} for row in _by_method(calibration, datasets)]
+    rows = [{**row, "mc_coverage_95": gold[row["survey"]]} for row in by_method(calibration, datasets)]
     return block("Calibration on registration errors that no label has seen.", rows, columns)
 
 
@@ -91,26 +85,6 @@ def table_3(runtime: Numbers, methods: Collection[str] = ()) -> list[Block]:
     columns = ("method", "mean_s", "std_s", "times_faster", "paper_mean_s", "paper_std_s")
     caption = f"Table III. Seconds per submap. Ours: {machine(runtime)}. The paper: {paper.RUNTIME_MACHINE}."
     return [block(caption, rows, columns)]
-
-
-def table_4(
-    slam: Numbers, datasets: Numbers, caption: str = "Table IV. Error of the optimised graphs, metres."
-) -> list[Block]:
-    """Return Table IV in the paper's form, a row per survey and error; against the truth too, where it is known."""
-    rows = [row for name, numbers in slam.items() for row in _slam_rows(name, numbers, datasets[name])]
-    graph = ("survey", "simulated", "track_km", "N_DR", "N_LC", "error_m", "of")
-    return [block(caption, rows, [*graph, *paper.SLAM_METHODS])]
-
-
-def slam_errors(slam: Numbers, datasets: Numbers) -> Block:
-    """Return every method's SLAM errors in metres, and the paper's."""
-    rows = [{**row, **interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in _by_method(slam, datasets)]
-    aligned = ("xyz_m", "se2_m", "4dof_m")
-    columns = ["survey", "simulated", "method", "rmse_xyz_m", "ci_low", "ci_high", "rmse_se2_m", "rmse_4dof_m"]
-    columns += [*(f"truth_rmse_{how}" for how in aligned), "map_to_map_m", "map_to_map_auvlib_m", "pose_nees"]
-    columns += ["paper_rmse_xyz_m", "paper_map_to_map_m"]
-    caption = "SLAM error by method on the paper's graph, metres; the interval is of the mean over its noises."
-    return block(caption, rows, columns)
 
 
 def label_quantiles(eigenvalues: Mapping[str, np.ndarray], datasets: Numbers) -> Block:
@@ -141,19 +115,6 @@ def machine(runtime: Numbers) -> str:
     return ", ".join(f"{key} {value}" for key, value in (named | kept).items())
 
 
-def interval(ci95: Any) -> dict[str, Any]:
-    """Return an interval, or None, as the cells ci_low and ci_high."""
-    low, high = ci95 or (None, None)
-    return {"ci_low": low, "ci_high": high}
-
-
-def _by_method(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:
-    for survey, methods in numbers.items():
-        for method, values in methods.items() if isinstance(methods, Mapping) else ():
-            if isinstance(values, Mapping):
-                yield {"survey": survey, "simulated": datasets[survey]["simulated"], "method": method, **values}
-
-
 def _paper_sizes(name: str, ours: Numbers) -> dict[str, Any]:
     if name not in paper.DATASETS:
         return {}
@@ -166,38 +127,9 @@ def _paper_kl(row: Numbers) -> float | None:
     return paper.KL.get(row["survey"]) if row["method"] == "pointnetkl" else None
 
 
-def _paper_slam(row: Numbers) -> dict[str, Any]:
-    if row["survey"] not in paper.SLAM:
-        return {}
-    theirs = paper.SLAM[row["survey"]]
-    errors = {"paper_rmse_xyz_m": theirs.rmse_xyz_m, "paper_map_to_map_m": theirs.map_to_map_m}
-    return {column: values.get(row["method"]) for column, values in errors.items()}
-
-
-def _slam_rows(survey: str, ours: Numbers, dataset: Numbers) -> Iterator[dict[str, Any]]:
-    theirs = paper.SLAM.get(survey)
-    graph = {"simulated": dataset["simulated"], "track_km": dataset["track_km"]}
-    graph |= {"N_DR": ours["dead_reckoning_edges"], "N_LC": ours["loop_closures"]}
-    for name, error in (
-        ("rmse_xyz_m", "RMSE_xyz, GT"),
-        ("truth_rmse_xyz_m", "RMSE_xyz, truth"),
-        ("map_to_map_m", "map-to-map"),
-    ):
-        methods = {method: ours.get(method, {}).get(name) for method in paper.SLAM_METHODS}
-        yield {"survey": survey, **graph, "error_m": error, "of": "ours", **methods}
-        if theirs and hasattr(theirs, name):
-            edges = {"N_DR": theirs.dead_reckoning_edges, "N_LC": theirs.loop_closures}
-            size = {"simulated": False, "track_km": theirs.track_km, **edges}
-            yield {"survey": survey, **size, "error_m": error, "of": "paper", **getattr(theirs, name)}
-
-
 def _quantiles(
     survey: str, side: str, values: np.ndarray, datasets: Numbers
 ) -> Iterator[tuple[str, bool, list[float]]]:
     yield "labels", datasets[survey]["simulated"], [float(q) for q in np.quantile(values, paper.QUANTILES)]
     if survey in paper.EIGENVALUES:
         yield "authors' network", False, list(paper.EIGENVALUES[survey][side])
-
-
-def _simulated_together(each: list[bool]) -> bool | str:
-    return each[0] if len(set(each)) == 1 else "partly"

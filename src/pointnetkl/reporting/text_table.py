@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +21,33 @@ class Block:
     frame: pd.DataFrame
 
 
+Blocks = Mapping[str, Sequence[Block]]  # a report's tables, by the stems of their files
+Numbers = Mapping[str, Any]  # nested numbers, as metrics.json has them
+
+
 def block(caption: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Block:
     """Return a block of the rows, with the columns in this order, values as they came (None stays None)."""
     cells = [[row.get(name) for name in columns] for row in rows]
     return Block(caption, pd.DataFrame(cells, columns=list(columns), dtype=object))
+
+
+def heading(survey: str, datasets: Numbers) -> str:
+    """Return a survey's name as the head of a column, which says that it is simulated where it is."""
+    return f"{survey} (simulated)" if datasets[survey]["simulated"] else survey
+
+
+def interval(ci95: Any) -> dict[str, Any]:
+    """Return an interval (low, high), or None, as the cells ci_low and ci_high."""
+    low, high = ci95 or (None, None)
+    return {"ci_low": low, "ci_high": high}
+
+
+def by_method(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:
+    """Yield a row for each survey and method of {survey: {method: {column: value}}}; other entries are left out."""
+    for survey, methods in numbers.items():
+        for method, values in methods.items() if isinstance(methods, Mapping) else ():
+            if isinstance(values, Mapping):
+                yield {"survey": survey, "simulated": datasets[survey]["simulated"], "method": method, **values}
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:

@@ -1,6 +1,6 @@
 """The figures of a report: what of the results each one shows."""
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,10 @@ from pointnetkl.reporting.drawing import maps, sheet
 from pointnetkl.reporting.labels import figures as label_plots
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.results import Folders
-from pointnetkl.reporting.slam import consistency as consistency_plots
-from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import pose, voxel
 
 # What is shown of ellipses beside the label's: the first of each that is there
 _COMPARED = (("network", "pointnetkl"), ("structure_tensor",), ("censi_calibrated", "naive_gicp"))
-_CONSISTENT = ("truth", "gt", "corrupted", "constant", "naive_gicp", "network")  # trajectories, as far as there
 _SUBMAPS_ACROSS, _WORST = 4, 10
 _RELIABLE = (
     *("monte_carlo", "network", "pointnetkl", "structure_tensor", "cello"),
@@ -104,14 +101,6 @@ def worst(surveys: Sequence[cases.Survey]) -> Iterator[tuple[str, Figure]]:
     for method in methods:
         if method != summary.GOLD:  # the labels themselves
             yield method, ellipse_plots.worst(method, cases.worst(surveys, method, _WORST))
-
-
-def consistency(folders: Folders, names: Iterable[str]) -> Figure:
-    """Draw where each test survey's map disagrees with itself, at a few trajectories."""
-    paths = {name: folders.reports / f"slam/{name}_consistency.tif" for name in names}
-    if not paths:
-        return sheet.no_track()
-    return consistency_plots.consistency({n: consistency_map.read(path, _CONSISTENT) for n, path in paths.items()})
 
 
 def reliability(surveys: Sequence[cases.Survey]) -> Figure:

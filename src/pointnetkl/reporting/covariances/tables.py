@@ -4,10 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pointnetkl.reporting.covariances.numbers import GOLD
-from pointnetkl.reporting.tables import COVERAGES, interval
-from pointnetkl.reporting.text_table import Block, block
+from pointnetkl.reporting.tables import COVERAGES
+from pointnetkl.reporting.text_table import Block, Numbers, block, interval
 
-Numbers = Mapping[str, Any]
 UNSEEN = "not in training"
 _WHICH = ("survey", "simulated", "class", "training", "submaps")
 

@@ -1,6 +1,6 @@
 """Where a map disagrees with itself: the map-to-map error of each cell, a panel for each trajectory."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,12 +10,23 @@ from matplotlib.figure import Figure
 
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import plots, sheet
+from pointnetkl.reporting.results import Folders
+from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.slam.consistency.consistency_map import Rasters
 
 PERCENTILE = 95.0  # of all of a survey's cells, that ends its scale: a few at the map's edge are far worse
+_CONSISTENT = ("truth", "gt", "corrupted", "constant", "naive_gicp", "network")  # trajectories, as far as there
 _COLOURS = "magma_r"
 _GAP_IN, _LINE_IN, _BAR_IN = 0.1, 0.2, 0.85  # between panels, of text, and for the bar of colours at the right
 _PLAIN = "#e4ebf0"  # of ground that no two submaps share
+
+
+def read_and_draw(folders: Folders, names: Iterable[str]) -> Figure:
+    """Draw where each test survey's map disagrees with itself, at a few trajectories."""
+    paths = {name: folders.reports / f"slam/{name}_consistency.tif" for name in names}
+    if not paths:
+        return sheet.no_track()
+    return consistency({n: consistency_map.read(path, _CONSISTENT) for n, path in paths.items()})
 
 
 def consistency(surveys: Mapping[str, Rasters]) -> Figure:

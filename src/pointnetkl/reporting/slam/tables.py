@@ -1,15 +1,21 @@
-"""Tables of the SLAM benchmark beyond the paper's: over draws of the loop closures, and of its variants."""
+"""Tables of the SLAM benchmark: the paper's Table IV, errors over draws, variants, and the map's error by thinning."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
-from pointnetkl.reporting.tables import interval, table_4
-from pointnetkl.reporting.text_table import Block, block
+import pandas as pd
+import pyarrow as pa
 
-Numbers = Mapping[str, Any]
+from pointnetkl.reporting import paper
+from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, interval
+from pointnetkl.workflow import artifacts
+
 _MEANS = ("draws_truth_rmse_xyz_m", "draws_truth_rmse_se2_m", "truth_relative_m")
 _MINUS = ("", "_se2", "_relative")  # in the names of network's error less a method's
 _AUTHORS = "Table IV with the authors' two slips, from the same graphs and noises, metres."
+_ERRORS = [(name, pa.float64()) for name in ("map_to_map_m", "both_thinned_m")]
+THINNING = pa.schema([("survey", pa.string()), ("thinning", pa.int32()), ("cells", pa.int64()), *_ERRORS])
 
 
 def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
@@ -19,6 +25,26 @@ def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
         "slam_draws": [draws(numbers["slam"], datasets)],
         "slam_variants": [variants(numbers["slam_variants"], datasets)],
     }
+
+
+def table_4(
+    slam: Numbers, datasets: Numbers, caption: str = "Table IV. Error of the optimised graphs, metres."
+) -> list[Block]:
+    """Return Table IV in the paper's form, a row per survey and error; against the truth too, where it is known."""
+    rows = [row for name, numbers in slam.items() for row in _slam_rows(name, numbers, datasets[name])]
+    graph = ("survey", "simulated", "track_km", "N_DR", "N_LC", "error_m", "of")
+    return [block(caption, rows, [*graph, *paper.SLAM_METHODS])]
+
+
+def slam_errors(slam: Numbers, datasets: Numbers) -> Block:
+    """Return every method's SLAM errors in metres, and the paper's."""
+    rows = [{**row, **interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in by_method(slam, datasets)]
+    aligned = ("xyz_m", "se2_m", "4dof_m")
+    columns = ["survey", "simulated", "method", "rmse_xyz_m", "ci_low", "ci_high", "rmse_se2_m", "rmse_4dof_m"]
+    columns += [*(f"truth_rmse_{how}" for how in aligned), "map_to_map_m", "map_to_map_auvlib_m", "pose_nees"]
+    columns += ["paper_rmse_xyz_m", "paper_map_to_map_m"]
+    caption = "SLAM error by method on the paper's graph, metres; the interval is of the mean over its noises."
+    return block(caption, rows, columns)
 
 
 def draws(slam: Numbers, datasets: Numbers) -> Block:
@@ -31,7 +57,7 @@ def draws(slam: Numbers, datasets: Numbers) -> Block:
             **{f"{side}_relative": limit for side, limit in interval(row["truth_relative_ci95_m"]).items()},
             **{f"{side}_minus{which}": limit for which in _MINUS for side, limit in _minus(row, which).items()},
         }
-        for row in _methods(slam, datasets)
+        for row in by_method(slam, datasets)
         if "draws_truth_rmse_xyz_m" in row
     ]
     columns = ["survey", "simulated", "method"]
@@ -56,7 +82,7 @@ def variants(found: Numbers, datasets: Numbers) -> Block:
         {**row, "variant": variant, **interval(row.get("minus_table_ci95_m"))}
         for survey, of in found.items()
         for variant, methods in of.items()
-        for row in _methods({survey: methods}, datasets)
+        for row in by_method({survey: methods}, datasets)
     ]
     columns = ["survey", "simulated", "method", "variant", "rmse_xyz_m", "truth_rmse_xyz_m", "truth_rmse_se2_m"]
     columns += ["truth_relative_m", "minus_table_m", "ci_low", "ci_high"]
@@ -67,8 +93,44 @@ def variants(found: Numbers, datasets: Numbers) -> Block:
     return block(caption, sorted(rows, key=lambda row: (row["survey"], row["method"])), columns)
 
 
-def _methods(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:
-    for survey, methods in numbers.items():
-        for method, values in methods.items():
-            if isinstance(values, Mapping):
-                yield {"survey": survey, "simulated": datasets[survey]["simulated"], "method": method, **values}
+def read_thinning(folder: Path, surveys: Iterable[str]) -> pd.DataFrame:
+    """Read what stage slam found of each survey in its folder, one table of schema THINNING."""
+    every = [artifacts.read_table(folder / f"{name}_map_thinning.parquet", THINNING) for name in surveys]
+    return pd.concat(every, ignore_index=True)
+
+
+def thinning(found: pd.DataFrame, datasets: Numbers) -> Block:
+    """Return each survey's map-to-map error at its GT by thinning (THINNING), and against none."""
+    rows = []
+    for survey, of in found.groupby("survey", sort=False):
+        whole = of.loc[of["thinning"] == 1, "map_to_map_m"].iloc[0]
+        known = {"survey": survey, "simulated": datasets[survey]["simulated"]}
+        rows += [{**known, **row, "ratio": row["map_to_map_m"] / whole} for row in of.to_dict("records")]
+    caption = "Map-to-map error at GT, metres, by thinning of the points that ask, or of both sides; ratio: to 1."
+    columns = ["survey", "simulated", "thinning", "cells", "map_to_map_m", "ratio", "both_thinned_m"]
+    return block(caption, rows, columns)
+
+
+def _paper_slam(row: Numbers) -> dict[str, Any]:
+    if row["survey"] not in paper.SLAM:
+        return {}
+    theirs = paper.SLAM[row["survey"]]
+    errors = {"paper_rmse_xyz_m": theirs.rmse_xyz_m, "paper_map_to_map_m": theirs.map_to_map_m}
+    return {column: values.get(row["method"]) for column, values in errors.items()}
+
+
+def _slam_rows(survey: str, ours: Numbers, dataset: Numbers) -> Iterator[dict[str, Any]]:
+    theirs = paper.SLAM.get(survey)
+    graph = {"simulated": dataset["simulated"], "track_km": dataset["track_km"]}
+    graph |= {"N_DR": ours["dead_reckoning_edges"], "N_LC": ours["loop_closures"]}
+    for name, error in (
+        ("rmse_xyz_m", "RMSE_xyz, GT"),
+        ("truth_rmse_xyz_m", "RMSE_xyz, truth"),
+        ("map_to_map_m", "map-to-map"),
+    ):
+        methods = {method: ours.get(method, {}).get(name) for method in paper.SLAM_METHODS}
+        yield {"survey": survey, **graph, "error_m": error, "of": "ours", **methods}
+        if theirs and hasattr(theirs, name):
+            edges = {"N_DR": theirs.dead_reckoning_edges, "N_LC": theirs.loop_closures}
+            size = {"simulated": False, "track_km": theirs.track_km, **edges}
+            yield {"survey": survey, **size, "error_m": error, "of": "paper", **getattr(theirs, name)}
