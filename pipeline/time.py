@@ -18,6 +18,7 @@ from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import constant, learned
 from pointnetkl.models import trained
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.simulation import seabed
 from pointnetkl.surveys.submap import Submap
@@ -50,8 +51,8 @@ def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Met
     seed = parameters.read(arguments.params, "predict", learned.Settings).seed
     fits = learned.read(arguments.fits, registration.dimensions)
     return [
-        sampled.Sampled("monte_carlo", chosen.runs, chosen.seed, label, registration),
-        constant.Constant("constant", np.eye(registration.dimensions)),
+        sampled.Sampled(catalogue.MONTE_CARLO, chosen.runs, chosen.seed, label, registration),
+        constant.Constant(catalogue.CONSTANT, np.eye(registration.dimensions)),
         *estimated.without_labels(
             parameters.read(arguments.params, "estimate", estimated.Settings), label, registration
         ),

@@ -9,7 +9,7 @@ from pointnetkl.methods.closed_forms import censi, hessian, mean_field, naive_gi
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import constant
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance import catalogue, table
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.workflow.parameters import require_seed
 
@@ -41,8 +41,8 @@ def methods(
 ) -> list[Method]:
     """Return the methods for one survey, whose label table (monte_carlo.LABELS) is given."""
     return [
-        labelled.from_table("monte_carlo", labels),
-        constant.mean("constant", table.to_matrices(labels)),
+        labelled.from_table(catalogue.MONTE_CARLO, labels),
+        constant.mean(catalogue.CONSTANT, table.to_matrices(labels)),
         *without_labels(settings, label, registration),
     ]
 
@@ -50,6 +50,7 @@ def methods(
 def without_labels(settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings) -> list[Method]:
     """Return those of the methods that no label is needed for."""
     how = SelfRegistration(settings.seed, label, registration)
+    counts = settings.sampled_runs
     return [
         naive_gicp.NaiveGicp(registration),
         naive_gicp.NaiveMeanCovariance(registration),
@@ -57,5 +58,8 @@ def without_labels(settings: Settings, label: monte_carlo.Settings, registration
         censi.Censi(how),
         unscented.Unscented(how),
         mean_field.MeanField(label, registration),
-        *(sampled.Sampled(f"mc_{runs}", runs, settings.seed, label, registration) for runs in settings.sampled_runs),
+        *(
+            sampled.Sampled(catalogue.sampled(runs), runs, settings.seed, label, registration)
+            for runs in settings.sampled_runs
+        ),
     ]

@@ -7,6 +7,7 @@ import numpy as np
 
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.registration import gicp
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.surveys.submap import Submap
 
 
@@ -15,7 +16,7 @@ class Hessian:
     """s^2 H^-1 of the submap registered to a noisy copy of itself."""
 
     how: SelfRegistration
-    name: ClassVar[str] = "hessian"
+    name: ClassVar[str] = catalogue.HESSIAN
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""

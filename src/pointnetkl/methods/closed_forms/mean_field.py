@@ -7,6 +7,7 @@ import numpy as np
 from pointnetkl.models import mean_field
 from pointnetkl.models.mean_field import MeanFieldError
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.surveys.submap import Submap
 
 
@@ -16,7 +17,7 @@ class MeanField:
 
     label: monte_carlo.Settings  # of the copies: their prior and noise; they are of the submap's very points
     registration: gicp.Settings
-    name: str = "mean_field"
+    name: str = catalogue.MEAN_FIELD
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2), in the submap's frame.

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from pointnetkl.registration import gicp
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.gicp import linearised
 from pointnetkl.surveys.submap import Submap
 
@@ -18,7 +19,7 @@ class NaiveGicp:
     """([mean A^T (C_q + R C_p R^T)^-1 A])^-1: the inverse of the average information, as the paper has it."""
 
     registration: gicp.Settings
-    name: ClassVar[str] = "naive_gicp"
+    name: ClassVar[str] = catalogue.NAIVE_GICP
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
@@ -32,7 +33,7 @@ class NaiveMeanCovariance:
     """[mean C_q + R C_p R^T]_xy: the average of the covariances, as the authors' code has it."""
 
     registration: gicp.Settings
-    name: ClassVar[str] = "naive_meancov"
+    name: ClassVar[str] = catalogue.NAIVE_MEANCOV
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2); for M = 3 every match measures x, y with the average."""

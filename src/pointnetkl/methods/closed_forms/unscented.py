@@ -8,6 +8,7 @@ import numpy as np
 from pointnetkl.methods.closed_forms import censi
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.registration import monte_carlo
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.surveys.submap import Submap
 
 _BETA = 2.0  # best for a Gaussian (Julier 2002); alpha 1 and kappa 0 leave no other weight but 1 / 2M
@@ -18,7 +19,7 @@ class Unscented:
     """2 M + 1 registrations of one noisy copy from the sigma points of the prior, plus the sandwich."""
 
     how: SelfRegistration
-    name: ClassVar[str] = "unscented"
+    name: ClassVar[str] = catalogue.UNSCENTED
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""

@@ -17,7 +17,7 @@ from pointnetkl.methods.closed_forms import censi, hessian
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting, structure_tensor
 from pointnetkl.registration import gicp
-from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.covariance import catalogue, gaussian
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 
@@ -91,7 +91,7 @@ def names(dimensions: int) -> tuple[str, ...]:
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the scales with the least mean KL to the training labels, and what is remembered of the submaps."""
-    looks = compute.in_threads(lambda s: look(s, training.how), training.submaps, "cello")
+    looks = compute.in_threads(lambda s: look(s, training.how), training.submaps, catalogue.CELLO)
     axes = np.stack([each.axes for each in looks])
     seen = np.stack([each.features for each in looks])
     floored = _along(gaussian.with_floor(training.labels, settings.floor_m2), axes)

@@ -9,7 +9,7 @@ from scipy import optimize
 
 from pointnetkl.methods import labelled
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
-from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.covariance import catalogue, gaussian
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
@@ -93,7 +93,7 @@ def search(
 def _pairs(
     surveys: Sequence[Sequence[Submap]], labels: Sequence[pd.DataFrame]
 ) -> list[tuple[Sequence[Submap], labelled.Labelled]]:
-    gold = [labelled.from_table("monte_carlo", rows) for rows in labels]
+    gold = [labelled.from_table(catalogue.MONTE_CARLO, rows) for rows in labels]
     return list(zip(surveys, gold, strict=True))
 
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import calibrated, cello, constant, fitting, structure_tensor
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.parameters import require_seed
@@ -27,11 +28,11 @@ class Learner(Protocol):
 
 
 LEARNERS: dict[str, Learner] = {
-    "constant_train": constant,
-    "hessian_calibrated": calibrated.HESSIAN,
-    "censi_calibrated": calibrated.CENSI,
-    "structure_tensor": structure_tensor,
-    "cello": cello,
+    catalogue.CONSTANT_TRAIN: constant,
+    catalogue.HESSIAN_CALIBRATED: calibrated.HESSIAN,
+    catalogue.CENSI_CALIBRATED: calibrated.CENSI,
+    catalogue.STRUCTURE_TENSOR: structure_tensor,
+    catalogue.CELLO: cello,
 }
 
 

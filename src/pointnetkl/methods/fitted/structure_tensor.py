@@ -13,6 +13,7 @@ import numpy as np
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting
 from pointnetkl.registration import gicp
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.gicp import linearised
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
@@ -63,7 +64,7 @@ def names(dimensions: int) -> tuple[str, ...]:
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the four numbers with the least mean KL to the training labels."""
-    tensors = compute.in_threads(lambda s: _tensor_of(s, training.how), training.submaps, "structure_tensor")
+    tensors = compute.in_threads(lambda s: _tensor_of(s, training.how), training.submaps, catalogue.STRUCTURE_TENSOR)
     return fit_tensors(np.stack(tensors), training.how.prior(), training.labels, settings)
 
 

@@ -1,0 +1,102 @@
+"""The catalogue of methods: every name in column `method` of a table, its family, and the stage that makes it.
+
+A new method joins by a constant and a line in METHODS. Two kinds of names are made up as the pipeline runs: mc_<runs>,
+one for each number in estimate.sampled_runs, and the models, whose names the user gives in section `models`.
+"""
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+MONTE_CARLO = "monte_carlo"  # the labels themselves: the gold standard
+CONSTANT, NAIVE_GICP, NAIVE_MEANCOV = "constant", "naive_gicp", "naive_meancov"
+HESSIAN, CENSI, UNSCENTED, MEAN_FIELD = "hessian", "censi", "unscented", "mean_field"
+HESSIAN_CALIBRATED, CENSI_CALIBRATED = "hessian_calibrated", "censi_calibrated"
+CONSTANT_TRAIN, STRUCTURE_TENSOR, CELLO = "constant_train", "structure_tensor", "cello"
+NETWORK, POINTNETKL, UNSCALED = "network", "pointnetkl", "pointnetkl_unscaled"
+SPLIT, PAIR = "split", "pair"  # measured on loop closures: the label by copy split, and Q_ij
+OVERLAP = "_overlap"  # after a method's name: the method, asked about the ground that a loop closure's submaps share
+
+# What stands beside the methods in tables of SLAM, and no covariance made it.
+REFERENCES = ("truth", "gt", "navigation", "corrupted")
+
+
+class Family(StrEnum):
+    """A kind of methods, by the name that legends give it; their order is that of legends."""
+
+    GOLD = "gold standard"
+    RIVALS = "the paper's rivals"
+    CLOSED_FORMS = "closed forms"
+    SAMPLED = "sampled"
+    LEARNED = "learned numbers"
+    NETWORKS = "networks"
+    OTHERS = "others"
+
+
+class Stage(StrEnum):
+    """A stage whose settings or products decide a method's answer; stage predict applies what fit has fitted."""
+
+    LABEL = "label"
+    ESTIMATE = "estimate"
+    FIT = "fit"
+    PREDICT = "predict"
+    CALIBRATE = "calibrate"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the catalogue says of a method."""
+
+    family: Family
+    stage: Stage
+
+
+METHODS = {
+    MONTE_CARLO: Entry(Family.GOLD, Stage.LABEL),
+    CONSTANT: Entry(Family.RIVALS, Stage.ESTIMATE),
+    NAIVE_GICP: Entry(Family.RIVALS, Stage.ESTIMATE),
+    NAIVE_MEANCOV: Entry(Family.RIVALS, Stage.ESTIMATE),
+    HESSIAN: Entry(Family.CLOSED_FORMS, Stage.ESTIMATE),
+    CENSI: Entry(Family.CLOSED_FORMS, Stage.ESTIMATE),
+    UNSCENTED: Entry(Family.CLOSED_FORMS, Stage.ESTIMATE),
+    MEAN_FIELD: Entry(Family.CLOSED_FORMS, Stage.ESTIMATE),
+    CONSTANT_TRAIN: Entry(Family.LEARNED, Stage.FIT),
+    HESSIAN_CALIBRATED: Entry(Family.CLOSED_FORMS, Stage.FIT),
+    CENSI_CALIBRATED: Entry(Family.CLOSED_FORMS, Stage.FIT),
+    STRUCTURE_TENSOR: Entry(Family.LEARNED, Stage.FIT),
+    CELLO: Entry(Family.LEARNED, Stage.FIT),
+    POINTNETKL: Entry(Family.NETWORKS, Stage.PREDICT),
+    NETWORK: Entry(Family.NETWORKS, Stage.PREDICT),
+    UNSCALED: Entry(Family.NETWORKS, Stage.PREDICT),
+    SPLIT: Entry(Family.OTHERS, Stage.CALIBRATE),
+    PAIR: Entry(Family.OTHERS, Stage.CALIBRATE),
+}
+
+
+def entry(method: str) -> Entry:
+    """Return what the catalogue says of a method.
+
+    A name that is in no list is a model's, because every other name in a table is either listed or made here.
+    """
+    if method in METHODS:
+        return METHODS[method]
+    if method.endswith(OVERLAP):
+        return Entry(entry(method.removesuffix(OVERLAP)).family, Stage.CALIBRATE)
+    if re.fullmatch(r"mc_\d+", method):
+        return Entry(Family.SAMPLED, Stage.ESTIMATE)
+    return Entry(Family.NETWORKS, Stage.PREDICT)
+
+
+def family(name: str) -> Family:
+    """Return the family of a method; a reference, which no covariance made, is among the others."""
+    return Family.OTHERS if name in REFERENCES else entry(name).family
+
+
+def sampled(runs: int) -> str:
+    """Return the name of Monte Carlo with so many registrations."""
+    return f"mc_{runs}"
+
+
+def overlapping(method: str) -> str:
+    """Return the name of a method that is asked about the common ground of a loop closure's submaps."""
+    return f"{method}{OVERLAP}"
