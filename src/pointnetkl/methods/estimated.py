@@ -50,7 +50,6 @@ def methods(
 def without_labels(settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings) -> list[Method]:
     """Return those of the methods that no label is needed for."""
     how = SelfRegistration(settings.seed, label, registration)
-    counts = settings.sampled_runs
     return [
         naive_gicp.NaiveGicp(registration),
         naive_gicp.NaiveMeanCovariance(registration),
