@@ -5,7 +5,7 @@ export DVC_NO_ANALYTICS := 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup repro test bench fuzz lint clean
+.PHONY: help setup repro test bench fuzz lint wheel clean
 
 help:  ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -32,6 +32,13 @@ lint: .venv/complete  ## ruff, and mypy --strict on src
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+
+wheel: .venv/complete  ## build dist/*.whl, install it into an empty environment and import it there
+	@rm -rf dist build
+	@$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	@rm -rf build/wheel && $(BIN)/python -m venv build/wheel
+	@build/wheel/bin/python -m pip install --quiet --no-deps --no-index dist/*.whl
+	@build/wheel/bin/python -I -c 'import pointnetkl; print("pointnetkl", pointnetkl.__version__)'
 
 clean:  ## remove .venv (data, models and reports stay)
 	rm -rf .venv
