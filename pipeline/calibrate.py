@@ -9,7 +9,7 @@ from pointnetkl.models import trained
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import errors as closure_errors
-from pointnetkl.slam.closures import loop_closure, overlap
+from pointnetkl.slam.closures import loop_closure, overlap, tables
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
@@ -33,7 +33,7 @@ def main(arguments: argparse.Namespace) -> None:
     covariances = pd.concat([measured, overlap.tabulate(models, made, submaps, reach)], ignore_index=True)
     metadata = {"survey": name, "calibrate": parameters.as_metadata(chosen), "graph": made_with}
     dimensions = registration.dimensions
-    artifacts.write_table(arguments.closures, rows, closure_errors.schema(dimensions), metadata)
+    artifacts.write_table(arguments.closures, rows, tables.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)
 
 

@@ -12,8 +12,10 @@ import pandas as pd
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import benchmark as slam_benchmark
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.consistency import consistency_map, map_frame, map_thinning
-from pointnetkl.slam.consistency.map_cells import Cells
+from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.consistency import consistency_map, map_to_map
+from pointnetkl.slam.consistency import tables as consistency_tables
+from pointnetkl.slam.consistency.consistency_map import Cells
 from pointnetkl.slam.consistency.map_to_map import MapToMap
 from pointnetkl.slam.consistency.map_to_map_auvlib import MapToMapAuvlib
 from pointnetkl.slam.graph import graph_file
@@ -44,11 +46,11 @@ def main(arguments: argparse.Namespace) -> None:
     for sentence in slam_benchmark.unsolved(found.rows):
         print(sentence, file=sys.stderr)
     metadata = {"survey": name, "slam": parameters.as_metadata(chosen), "graph": made_with}
-    artifacts.write_table(arguments.rows, found.rows, protocol.ROWS, metadata)
-    artifacts.write_table(arguments.trajectories, found.trajectories, protocol.TRAJECTORIES, metadata)
-    frame = consistency_map.Frame(*map_frame.read(arguments.pings), chosen.map_cell_m)
+    artifacts.write_table(arguments.rows, found.rows, slam_tables.ROWS, metadata)
+    artifacts.write_table(arguments.trajectories, found.trajectories, slam_tables.TRAJECTORIES, metadata)
+    frame = consistency_map.Frame(*consistency_map.read_origin(arguments.pings), chosen.map_cell_m)
     consistency_map.write(arguments.consistency, found.cells, frame, metadata)
-    artifacts.write_table(arguments.map_thinning, found.thinned, map_thinning.SCHEMA, metadata)
+    artifacts.write_table(arguments.map_thinning, found.thinned, consistency_tables.THINNING, metadata)
 
 
 def solve(
@@ -60,12 +62,14 @@ def solve(
     map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
     rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)
     cells = consistency_map.of_trajectories(trajectories, measure.cells)
-    return Found(rows, trajectories, cells, map_thinning.table(graph.survey, clouds, graph.gt, chosen.map_cell_m))
+    return Found(
+        rows, trajectories, cells, map_to_map.thinning_table(graph.survey, clouds, graph.gt, chosen.map_cell_m)
+    )
 
 
 def no_track() -> Found:
     """Return what is written of a graph without a track: tables without rows, and cells without errors."""
-    schemas = (protocol.ROWS, protocol.TRAJECTORIES, map_thinning.SCHEMA)
+    schemas = (slam_tables.ROWS, slam_tables.TRAJECTORIES, consistency_tables.THINNING)
     rows, trajectories, thinned = (schema.empty_table().to_pandas() for schema in schemas)
     # by a name, because a raster has one band at least
     return Found(rows, trajectories, {"no track": Cells(*np.empty((3, 0), np.int64))}, thinned)

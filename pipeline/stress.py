@@ -10,7 +10,7 @@ from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
-from pointnetkl.slam.robust import false_closures, loop_gate, stress
+from pointnetkl.slam.robust import false_closures, loop_gate, stress, tables
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
 
@@ -27,7 +27,7 @@ def main(arguments: argparse.Namespace) -> None:
     methods = stress.chosen(protocol.by_method(covariances, slam.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = protocol.clouds_of(file.graph, {s.number: s.points for s in submaps})
-    rows, gate = (schema.empty_table().to_pandas() for schema in (stress.ROWS, loop_gate.GATE))
+    rows, gate = (schema.empty_table().to_pandas() for schema in (tables.ROWS, tables.GATE))
     if file.graph.track:  # without one there is nothing to optimise
         case = stress.Case(file.graph, methods, apart(file.graph, clouds, cell), slam.yaw_sigma_rad, chosen)
         rows = stress.benchmark(case)
@@ -35,8 +35,8 @@ def main(arguments: argparse.Namespace) -> None:
         gate = loop_gate.table(file.graph, clouds, corrupted, cell, coverage)
     of_slam = {"yaw_sigma_rad": slam.yaw_sigma_rad, "floor_m2": slam.floor_m2}
     metadata = {"survey": name, "stress": parameters.as_metadata(chosen), "slam": of_slam, "graph": file.made_with}
-    artifacts.write_table(arguments.rows, rows, stress.ROWS, metadata)
-    artifacts.write_table(arguments.gate, gate, loop_gate.GATE, metadata)
+    artifacts.write_table(arguments.rows, rows, tables.ROWS, metadata)
+    artifacts.write_table(arguments.gate, gate, tables.GATE, metadata)
 
 
 def apart(graph: SurveyGraph, clouds: Sequence[np.ndarray], cell: float) -> np.ndarray:

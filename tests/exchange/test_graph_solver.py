@@ -15,6 +15,7 @@ from pointnetkl.exchange.graph_solver import GraphSolverError
 from pointnetkl.slam.graph import gtsam_search, pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators
+from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.surveys import pose
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
@@ -47,7 +48,7 @@ def without(graph: g2o.Graph, edge: int) -> g2o.Graph:
     return dataclasses.replace(graph, edges=kept, information=np.delete(graph.information, edge, 0))
 
 
-@pytest.mark.parametrize("kernel", estimators.KERNELS[1:])
+@pytest.mark.parametrize("kernel", robust_tables.KERNELS[1:])
 def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str):
     graph, wrong = meshed()
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))

@@ -16,6 +16,7 @@ from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import constant, fitting, learned
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, method, table
+from pointnetkl.registration.streams import Stream
 from pointnetkl.surveys.submap import Submap, SubmapError
 from pointnetkl.workflow import artifacts
 
@@ -171,7 +172,7 @@ def test_mc_s_draws_and_closed_forms_noise_are_not_the_labels_even_with_their_se
     label = monte_carlo.label(rugged, 150, LABEL, REGISTRATION)
     assert abs(q[0][0, 0] / label.row["q_xx_m2"] - 1) > 1e-3
     own = SelfRegistration(LABEL.seed, LABEL, REGISTRATION).noise(rugged)
-    streams = (monte_carlo.LABEL, monte_carlo.HELD_OUT)
+    streams = (Stream.LABEL, Stream.HELD_OUT)
     labels_keys = [int(monte_carlo.generator(LABEL, rugged, each).integers(1 << 63)) for each in streams]
     assert own.key not in labels_keys
 

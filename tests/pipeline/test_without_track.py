@@ -17,11 +17,12 @@ from pointnetkl.registration.covariance import table
 from pointnetkl.reporting import report, results
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.slam import figures as slam_figures
-from pointnetkl.slam.benchmark import protocol
+from pointnetkl.slam.benchmark import tables as slam_tables
 from pointnetkl.slam.closures import graph_construction
-from pointnetkl.slam.consistency import consistency_map, map_thinning
+from pointnetkl.slam.consistency import consistency_map
+from pointnetkl.slam.consistency import tables as consistency_tables
 from pointnetkl.slam.graph import graph_file, survey_graph
-from pointnetkl.slam.robust import loop_gate, stress
+from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts, parameters, study
 from toy_survey import REGISTRATION, SETTINGS, SPACING, sail
@@ -92,11 +93,11 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_slam_and_stress_write_tables_of_no_rows(solved: Path):
-    assert artifacts.read_table(solved / "rows.parquet", protocol.ROWS).empty
-    assert artifacts.read_table(solved / "trajectories.parquet", protocol.TRAJECTORIES).empty
-    assert artifacts.read_table(solved / "map_thinning.parquet", map_thinning.SCHEMA).empty
-    assert artifacts.read_table(solved / "robust.parquet", stress.ROWS).empty
-    assert artifacts.read_table(solved / "gate.parquet", loop_gate.GATE).empty
+    assert artifacts.read_table(solved / "rows.parquet", slam_tables.ROWS).empty
+    assert artifacts.read_table(solved / "trajectories.parquet", slam_tables.TRAJECTORIES).empty
+    assert artifacts.read_table(solved / "map_thinning.parquet", consistency_tables.THINNING).empty
+    assert artifacts.read_table(solved / "robust.parquet", robust_tables.ROWS).empty
+    assert artifacts.read_table(solved / "gate.parquet", robust_tables.GATE).empty
     found = consistency_map.read(solved / "map.tif", ["no track"])
     assert np.isnan(found.errors["no track"]).all()
 
@@ -119,11 +120,11 @@ def lose_track(root: Path, name: str) -> None:
     arrays, _ = artifacts.read_arrays(place)
     artifacts.write_arrays(place, {**arrays, "track": np.array(False)}, {})
     for path, schema in (
-        (f"slam/{name}", protocol.ROWS),
-        (f"slam/{name}_trajectories", protocol.TRAJECTORIES),
-        (f"slam/{name}_map_thinning", map_thinning.SCHEMA),
-        (f"robustness/{name}", stress.ROWS),
-        (f"robustness/{name}_gate", loop_gate.GATE),
+        (f"slam/{name}", slam_tables.ROWS),
+        (f"slam/{name}_trajectories", slam_tables.TRAJECTORIES),
+        (f"slam/{name}_map_thinning", consistency_tables.THINNING),
+        (f"robustness/{name}", robust_tables.ROWS),
+        (f"robustness/{name}_gate", robust_tables.GATE),
     ):
         artifacts.write_table(root / f"reports/{path}.parquet", schema.empty_table().to_pandas(), schema, {})
 

@@ -12,6 +12,7 @@ import terrains
 from pointnetkl.labels import warnings
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, metrics, table
+from pointnetkl.registration.streams import Stream
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 
@@ -27,7 +28,7 @@ def submap(kind: str, points: int = 1000, number: int = 0) -> Submap:
 
 
 def errors(of: Submap, runs: int = 200, settings: monte_carlo.Settings = SETTINGS) -> np.ndarray:
-    rng = monte_carlo.generator(settings, of, monte_carlo.LABEL)
+    rng = monte_carlo.generator(settings, of, Stream.LABEL)
     return monte_carlo.errors(of, runs, rng, settings, REGISTRATION).errors
 
 

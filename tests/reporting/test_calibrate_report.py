@@ -10,7 +10,7 @@ from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.closures import words as closure_story
 from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.covariances.numbers import GOLD
-from pointnetkl.slam.closures import errors as closure_errors
+from pointnetkl.slam.closures import tables as calibrate_tables
 
 SUBMAPS, DRAWS = 60, 60
 DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}
@@ -202,5 +202,5 @@ def test_bins_of_errors_drawn_from_q_lie_on_the_line():
 
 
 def test_what_is_read_of_a_table_is_what_its_stage_writes():
-    assert set(closures.ROWS.names) <= set(closure_errors.CLOSURES.names)
-    assert (closures.SPLIT, closures.PAIR) == (closure_errors.SPLIT, closure_errors.PAIR)
+    assert set(closures.ROWS.names) <= set(calibrate_tables.CLOSURES.names)
+    assert (closures.SPLIT, closures.PAIR) == (calibrate_tables.SPLIT, calibrate_tables.PAIR)

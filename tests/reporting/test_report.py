@@ -22,7 +22,7 @@ from pointnetkl.reporting import report, results, terrain
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
 from pointnetkl.reporting.labels import numbers as label_study
-from pointnetkl.slam.benchmark import protocol
+from pointnetkl.slam.benchmark import tables as slam_tables
 from pointnetkl.workflow import artifacts, parameters, study
 
 UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
@@ -277,5 +277,5 @@ def test_what_is_read_of_a_table_is_what_its_stage_writes():
     assert set(results.LABELS.names) <= set(monte_carlo.LABELS.names)
     assert set(results.VARIATIONS.names) <= set(sensitivity.VARIATIONS.names)
     assert (label_study.RUNS, label_study.CONDITIONS) == (sensitivity.RUNS, sensitivity.CONDITIONS)
-    assert set(results.SLAM.names) <= set(protocol.ROWS.names)
-    assert set(results.TRAJECTORIES.names) <= set(protocol.TRAJECTORIES.names)
+    assert set(results.SLAM.names) <= set(slam_tables.ROWS.names)
+    assert set(results.TRAJECTORIES.names) <= set(slam_tables.TRAJECTORIES.names)

@@ -7,10 +7,9 @@ import pandas as pd
 import pytest
 import rasterio
 
-from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.consistency import consistency_map, map_frame, map_to_map
-from pointnetkl.slam.consistency.consistency_map import Frame
-from pointnetkl.slam.consistency.map_cells import Cells
+from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.consistency import consistency_map, map_to_map
+from pointnetkl.slam.consistency.consistency_map import Cells, Frame
 from pointnetkl.surveys import pose, survey
 from pointnetkl.workflow import artifacts
 
@@ -103,7 +102,7 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
     xyz, yaw = rng.uniform(0, 30, (3, 3)), rng.uniform(-3, 3, 3)
     columns = dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True))
     rows = pd.DataFrame({"survey": "mine", "which": "gt", "submap": range(3), **columns, "yaw_rad": yaw})
-    shuffled = rows.iloc[[2, 0, 1]][protocol.TRAJECTORIES.names]
+    shuffled = rows.iloc[[2, 0, 1]][slam_tables.TRAJECTORIES.names]
     measure = map_to_map.MapToMap(clouds, 15.0, 2)
     found = consistency_map.of_trajectories(shuffled, measure.cells)
     expected = measure.cells(np.array([pose.matrix(p, a) for p, a in zip(xyz, yaw, strict=True)]))
@@ -113,10 +112,10 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
 def test_a_map_frame_is_what_the_pings_say(tmp_path: Path):
     pings = survey.PINGS.empty_table().to_pandas()
     artifacts.write_table(tmp_path / "pings.parquet", pings, survey.PINGS, {"origin": [1.0, 2.0], "crs": "local"})
-    assert map_frame.read(tmp_path / "pings.parquet") == ((1.0, 2.0), "local")
+    assert consistency_map.read_origin(tmp_path / "pings.parquet") == ((1.0, 2.0), "local")
 
 
 def test_pings_of_nowhere_are_refused_in_a_sentence(tmp_path: Path):
     artifacts.write_table(tmp_path / "pings.parquet", survey.PINGS.empty_table().to_pandas(), survey.PINGS, {})
-    with pytest.raises(map_frame.MapFrameError, match="must name the crs"):
-        map_frame.read(tmp_path / "pings.parquet")
+    with pytest.raises(consistency_map.ConsistencyError, match="must name the crs"):
+        consistency_map.read_origin(tmp_path / "pings.parquet")

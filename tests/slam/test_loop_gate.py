@@ -7,6 +7,7 @@ import pandas as pd
 
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.robust import loop_gate
+from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.surveys import pose
 from toy_survey import SETTINGS, SPACING, graph
 
@@ -63,4 +64,4 @@ def test_without_truth_only_what_was_joined_is_known():
     found = table(dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan)))
     assert (found["joined"] > 0).all()
     assert found[["covering", "both"]].isna().all(axis=None)
-    assert list(found.columns) == loop_gate.GATE.names
+    assert list(found.columns) == robust_tables.GATE.names

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from pointnetkl.reporting.slam import tables as slam_tables
-from pointnetkl.slam.consistency import map_thinning, map_to_map
+from pointnetkl.slam.consistency import map_to_map
 from pointnetkl.surveys import pose
 
 RNG = np.random.default_rng(3)
@@ -15,7 +15,7 @@ POSES = np.array([pose.matrix(np.zeros(3), 0.0)] * 2)
 
 @pytest.fixture(scope="module")
 def found() -> pd.DataFrame:
-    return map_thinning.table("mine", CLOUDS, POSES, 15.0)
+    return map_to_map.thinning_table("mine", CLOUDS, POSES, 15.0)
 
 
 def test_without_thinning_both_ways_are_the_measure_itself(found: pd.DataFrame):
@@ -38,7 +38,7 @@ def test_thinning_the_points_that_ask_leaves_a_full_cell_as_it_is(found: pd.Data
 def test_submaps_that_barely_meet_are_overlooked_by_fewer_points():
     # a few points of the second reach 1 m into cells of 5 m that the first fills
     poses = np.array([POSES[0], pose.matrix(np.array([-59.0, 0.0, 0.0]), 0.0)])
-    found = map_thinning.table("mine", [CLOUDS[0], CLOUDS[1][:400]], poses, 5.0)
+    found = map_to_map.thinning_table("mine", [CLOUDS[0], CLOUDS[1][:400]], poses, 5.0)
     assert found["cells"].is_monotonic_decreasing
     assert found["cells"].iloc[-1] < found["cells"].iloc[0]
 

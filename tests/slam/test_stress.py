@@ -12,6 +12,7 @@ from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.robust import estimators, false_closures, loop_gate, stress
+from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.workflow import artifacts, parameters
 from toy_survey import SETTINGS as GRAPH_SETTINGS
 from toy_survey import SPACING, graph
@@ -120,7 +121,7 @@ def test_the_table_does_not_depend_on_the_number_of_workers(
     monkeypatch.setenv("POINTNETKL_WORKERS", "3")
     three = stress.benchmark(CASE)
     for name, made in (("one", one), ("three", three)):
-        artifacts.write_table(tmp_path / name, made, stress.ROWS, {})
+        artifacts.write_table(tmp_path / name, made, robust_tables.ROWS, {})
     assert (tmp_path / "one").read_bytes() == (tmp_path / "three").read_bytes()
 
 
@@ -140,8 +141,8 @@ def test_a_run_that_fails_is_a_row_of_nulls_and_the_others_go_on(monkeypatch: py
     assert rows["failed"].tolist() == (rows["kernel"] == "gnc").tolist()
     assert of(rows, kernel="gnc")[[*ERRORS, "accepted_true"]].isna().all(axis=None)
     assert of(rows, failed=False)[ERRORS].notna().all(axis=None)
-    artifacts.write_table(tmp_path / "rows", rows, stress.ROWS, {})
-    assert artifacts.read_table(tmp_path / "rows", stress.ROWS)["failed"].any()
+    artifacts.write_table(tmp_path / "rows", rows, robust_tables.ROWS, {})
+    assert artifacts.read_table(tmp_path / "rows", robust_tables.ROWS)["failed"].any()
 
 
 def test_a_survey_without_truth_or_closures_still_has_rows_of_share_0():

@@ -12,7 +12,7 @@ from pointnetkl.exchange.g2o import Graph
 from pointnetkl.exchange.graph_exchange import inverse
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
-from pointnetkl.slam.robust import estimators
+from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.slam.robust.estimators import RobustGraph, Thresholds
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -71,8 +71,8 @@ def solve_robust(graph: Graph, doubted: np.ndarray, kernel: str, thresholds: Thr
     sure = _factors(graph, np.setdiff1d(np.arange(len(graph.edges.source)), doubted))
     covariances = inverse(graph.information[doubted])
     made = RobustGraph(sure, gtsam_search.to_values(graph.poses), closures, covariances, thresholds)
-    found = made.solve(estimators.FIRST)
-    if kernel != estimators.FIRST:
+    found = made.solve(robust_tables.FIRST)
+    if kernel != robust_tables.FIRST:
         found = made.solve(kernel, found)
     return _solution(graph, found.poses), found.weights
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.registration.monte_carlo import Outcome
+from pointnetkl.registration.streams import Stream
 from pointnetkl.segmentation import spacing
 from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
@@ -138,7 +139,7 @@ def rows(
     """
     one = thinned(submap.read(survey, path, case.submap), case.thinning, cell_m, settings.seed)
     how = replace(label, seed=settings.seed, copy=case.copy, noise_sigma_m=case.noise_sigma_m)
-    rng = monte_carlo.generator(how, one, monte_carlo.LABEL)
+    rng = monte_carlo.generator(how, one, Stream.LABEL)
     try:
         outcome = monte_carlo.errors(one, case.runs, rng, how, registration)
     except gicp.GicpError as error:

@@ -31,6 +31,7 @@ SOURCES = (
     "registration/covariance/table.py",
     "registration/error_statistics.py",
     "registration/monte_carlo.py",
+    "registration/streams.py",
     "surveys/pose.py",
 )
 LIBRARIES = {"cpu": ("numpy", "scipy", "numba", "llvmlite"), "cuda": ("numpy", "scipy", "numba", "numba-cuda")}

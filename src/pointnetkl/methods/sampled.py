@@ -21,6 +21,6 @@ class Sampled:
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M), the same whatever the order of submaps and the number of workers."""
-        # in the place of runs the labels have a stream, 1 or 2: the draws differ even where the stages' seeds agree
+        # the runs stand where labels have a stream (registration.streams)
         rng = np.random.default_rng([self.seed, zlib.crc32(submap.survey.encode()), submap.number, self.runs])
         return monte_carlo.covariance(monte_carlo.errors(submap, self.runs, rng, self.label, self.registration).errors)

@@ -9,13 +9,11 @@ import pyarrow as pa
 
 from pointnetkl.registration import error_statistics, gicp
 from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.streams import Stream
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
-
-# Streams of random numbers: held-out errors share no draw with the label. Not 0, which NumPy's seeding ignores.
-LABEL, HELD_OUT = 1, 2
 
 LABELS = pa.schema(
     [
@@ -96,7 +94,7 @@ def schema(dimensions: int) -> pa.Schema:
     return LABELS if dimensions == 2 else pa.schema([*LABELS, *YAW])
 
 
-def generator(settings: Settings, submap: Submap, stream: int) -> np.random.Generator:
+def generator(settings: Settings, submap: Submap, stream: Stream) -> np.random.Generator:
     """Return the source of a submap's draws: the same whatever the workers, order or other submaps."""
     return np.random.default_rng([settings.seed, zlib.crc32(submap.survey.encode()), submap.number, stream])
 
@@ -182,8 +180,8 @@ def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Sett
     outcome, held_out = (
         _errors(submap, pair, count, generator(settings, submap, stream), settings, registration, enough)
         for count, stream, enough in (
-            (runs, LABEL, settings.target_relative_error),
-            (settings.held_out_runs, HELD_OUT, None),
+            (runs, Stream.LABEL, settings.target_relative_error),
+            (settings.held_out_runs, Stream.HELD_OUT, None),
         )
     )
     gaussian.check(covariance(outcome.errors), f"{submap.survey}, submap {submap.number}, label")

@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow as pa
 
 from pointnetkl.registration.covariance import table
-from pointnetkl.slam.consistency import map_frame
+from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
@@ -189,7 +189,7 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
 
 def read_frame(folders: Folders, name: str) -> tuple[np.ndarray, str]:
     """Read the origin (2,) of a survey's map frame, and the CRS that it is given in."""
-    origin, crs = map_frame.read(folders.data / f"surveys/{name}/pings.parquet")
+    origin, crs = consistency_map.read_origin(folders.data / f"surveys/{name}/pings.parquet")
     return np.array(origin), crs
 
 

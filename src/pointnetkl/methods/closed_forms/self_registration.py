@@ -5,12 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration import gicp, monte_carlo, streams
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
-
-# Where the labels' seeds have a stream, 1 or 2, and those of mc_<runs> their runs: no draw is shared with either.
-_STREAM = (0, 1)
 
 
 class SelfRegistrationError(PointNetKLError):
@@ -40,7 +37,9 @@ class SelfRegistration:
                 f"{submap.survey}, submap {submap.number}: closed forms need a noisy copy, and label.noise_sigma_m is"
                 f" {self.label.noise_sigma_m:g}; set it above zero, to the sonar's noise"
             )
-        rng = np.random.default_rng([self.seed, zlib.crc32(submap.survey.encode()), submap.number, *_STREAM])
+        rng = np.random.default_rng(
+            [self.seed, zlib.crc32(submap.survey.encode()), submap.number, *streams.SELF_REGISTRATION]
+        )
         return gicp.Noise(self.label.noise_sigma_m, int(rng.integers(1 << 63)))
 
     def prior(self) -> np.ndarray:

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.slam.benchmark import errors as slam_errors
-from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.benchmark.protocol import TABLE, Methods, Settings
+from pointnetkl.slam.benchmark import protocol, tables
+from pointnetkl.slam.benchmark.protocol import Methods, Settings
+from pointnetkl.slam.benchmark.tables import TABLE
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Odometry, PoseGraph, PoseGraphError
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -42,7 +43,7 @@ class _Estimate(NamedTuple):
 def benchmark(
     graph: SurveyGraph, methods: Methods, map_errors: Mapping[str, MapError], settings: Settings
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the benchmark's tables (protocol.ROWS, protocol.TRAJECTORIES) for covariances by method and submap.
+    """Return the benchmark's tables (tables.ROWS, tables.TRAJECTORIES) for covariances by method and submap.
 
     `map_errors` give errors of the map in metres for poses (n, 4, 4), by column. What has no solution is NaN (see
     `unsolved`). Workers share the work, see `compute`; progress is shown.
@@ -55,11 +56,11 @@ def benchmark(
         {"survey": graph.survey, **each.run._asdict(), **each.errors, **_map_errors(each, map_errors, settings)}
         for each in found
     ]
-    return pd.DataFrame(rows, columns=protocol.ROWS.names), _trajectories(graph, found)
+    return pd.DataFrame(rows, columns=tables.ROWS.names), _trajectories(graph, found)
 
 
 def unsolved(rows: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for every variant and method of protocol.ROWS of which some repetitions have no solution."""
+    """Yield a sentence for every variant and method of tables.ROWS of which some repetitions have no solution."""
     for (survey, variant, method), of in rows.groupby(["survey", "variant", "method"], sort=False):
         if missing := int(of["rmse_xyz_m"].isna().sum()):
             yield (

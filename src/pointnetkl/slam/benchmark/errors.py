@@ -12,7 +12,7 @@ _CHI2_2_MEDIAN = 2 * np.log(2)  # of e^T C^-1 e, two degrees of freedom, where C
 
 
 def errors(graph: SurveyGraph, edges: Edges, poses: np.ndarray) -> dict[str, float]:
-    """Return the errors of poses (n, 4, 4) in metres, by the names of slam.ROWS; NaN where the truth is not known.
+    """Return the errors of poses (n, 4, 4) in metres, by the names of tables.ROWS; NaN where the truth is not known.
 
     Each in three ways: as it is, turned and moved in the plane to fit best (SE(2)), and with height moved too
     (4-DoF). `truth_relative_m` is of the pairs that `edges` join.

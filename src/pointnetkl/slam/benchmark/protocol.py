@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.slam.benchmark import authors_slips
+from pointnetkl.slam.benchmark.tables import AUTHORS, TABLE
 from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -22,29 +22,6 @@ from pointnetkl.surveys import pose
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
 
-# A row per variant, method, draw and repetition; `navigation` has one row, all repetitions of it would be the same.
-_ERRORS = ("rmse_xyz_m", "rmse_se2_m", "rmse_4dof_m")  # as they are, and aligned in two ways: see slam_errors
-ROWS = pa.schema(
-    [
-        ("survey", pa.string()),
-        ("variant", pa.string()),  # table; shared or all, the other way to count edges; authors
-        ("method", pa.string()),
-        ("draw", pa.int32()),  # of the loop closures; 0 is the paper's graph
-        ("repetition", pa.int32()),
-        *((name, pa.float64()) for name in _ERRORS),  # against GT
-        *((f"truth_{name}", pa.float64()) for name in _ERRORS),  # against the truth; null where it is not known
-        ("truth_relative_m", pa.float64()),  # of pairs that a loop closure joins
-        ("map_to_map_m", pa.float64()),  # null in the repetitions that do not measure it
-        ("map_to_map_auvlib_m", pa.float64()),
-        ("pose_nees", pa.float64()),  # in one repetition
-    ]
-)
-# Of draw 0, repetition 0, for figures; `which` is truth, navigation, gt, corrupted or a method.
-TRAJECTORIES = pa.schema(
-    [("survey", pa.string()), ("which", pa.string()), ("submap", pa.int32())]
-    + [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "yaw_rad")]
-)
-TABLE, AUTHORS = "table", "authors"
 FEW = ("monte_carlo", "constant", "naive_gicp", "pointnetkl", "network")  # of the variants: the paper's, and our best
 Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 

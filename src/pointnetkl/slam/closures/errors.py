@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
-from pointnetkl.slam.closures import loop_closure
+from pointnetkl.registration.streams import Stream
+from pointnetkl.slam.closures import loop_closure, tables
 from pointnetkl.slam.closures import terrain as closure_terrain
+from pointnetkl.slam.closures.tables import PAIR, SPLIT
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
@@ -26,29 +27,6 @@ from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_seed
-
-SPLIT, PAIR = "split", "pair"  # methods: the label of submap i by copy split, and Q_ij
-_KINDS = ("error", "gt_error", "placed_error")
-_STREAM = 3  # of random numbers, beside those of monte_carlo
-_DESCRIBED = ("overlap", "patchiness", "outside", "given_m", "heading_m")
-CLOSURES = pa.schema(
-    [
-        ("survey", pa.string()),
-        ("draw", pa.int32()),
-        ("submap", pa.int32()),  # the one that was registered
-        ("targets", pa.int32()),  # and to how many
-        ("converged", pa.bool_()),
-        # share of its footprint that its targets have too, where all truly lie (GT where no truth is known)
-        ("overlap", pa.float64()),
-        ("patchiness", pa.float64()),  # see closure_terrain
-        ("outside", pa.float64()),  # share of its squared slopes on the ground that its targets do not have
-        # in its frame: against the truth, against GT, and of the registration with all where they truly lie
-        *((f"{kind}_{axis}_m", pa.float64()) for kind in _KINDS for axis in "xy"),
-        ("given_m", pa.float64()),  # error of where GT has it, as seen from its targets, before it was perturbed
-        ("heading_m", pa.float64()),  # error if the ground in common lay exactly right and only GT's yaw was wrong
-    ]
-)
-YAW = pa.schema([(f"{kind}_w_rad", pa.float64()) for kind in _KINDS])
 
 
 class ClosureErrorsError(PointNetKLError):
@@ -99,18 +77,13 @@ class _Measured:
     covariances: dict[str, np.ndarray]  # SPLIT and PAIR, (M, M)
 
 
-def schema(dimensions: int) -> pa.Schema:
-    """Return the schema of a table of loop closures' errors of M dimensions, 2 or 3."""
-    return CLOSURES if dimensions == 2 else pa.schema([*CLOSURES, *YAW])
-
-
 def measure(
     graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, how: How
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return a row for each registration of each draw, and the covariances SPLIT and PAIR of each submap registered.
 
-    The rows have the columns of `schema`; `submaps` are the graph's nodes. Where too few registrations of a submap at
-    its true place had a match, PAIR is its SPLIT: another draw may have closed a loop with it all the same.
+    The rows have the columns of tables.schema; `submaps` are the graph's nodes. Where too few registrations of a submap
+    at its true place had a match, PAIR is its SPLIT: another draw may have closed a loop with it all the same.
 
     Raises:
         ClosureErrorsError: the submaps are not those of the graph.
@@ -125,13 +98,13 @@ def measure(
     one = functools.partial(_measure, graph=graph, submaps=submaps, settings=settings, how=how)
     found = compute.in_threads(one, cases(graph), f"calibrate {graph.survey}")
     by_node = {each.node: each for each in found}
-    names = schema(how.registration.dimensions).names
+    names = tables.schema(how.registration.dimensions).names
     rows = [_rows(graph, draw, by_node) for draw in range(len(graph.draws))]
-    tables = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [how.registration.dimensions])))]
+    measured = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [how.registration.dimensions])))]
     for method in (SPLIT, PAIR):
         have = {int(graph.number[each.node]): each.covariances[method] for each in found}
-        tables += [table.from_matrices(graph.survey, method, have, np.array(list(have.values())))] if have else []
-    return pd.concat(rows, ignore_index=True)[names], pd.concat(tables, ignore_index=True)
+        measured += [table.from_matrices(graph.survey, method, have, np.array(list(have.values())))] if have else []
+    return pd.concat(rows, ignore_index=True)[names], pd.concat(measured, ignore_index=True)
 
 
 def true_poses(graph: SurveyGraph) -> np.ndarray:
@@ -153,7 +126,7 @@ def _measure(case: Case, graph: SurveyGraph, submaps: Sequence[Submap], settings
     one, T = submaps[case.node], true_poses(graph)
     around = [pose.transform(T[k], submaps[k].points) for k in case.targets]
     m, label = how.registration.dimensions, dataclasses.replace(how.label, seed=settings.seed, copy="split")
-    rng, sigmas = monte_carlo.generator(label, one, _STREAM), monte_carlo.prior_sigmas(label, m)
+    rng, sigmas = monte_carlo.generator(label, one, Stream.CLOSURE), monte_carlo.prior_sigmas(label, m)
     drawn = rng.normal(0.0, sigmas, (settings.runs, m))
     given = [loop_closure.starts(graph.survey, [one], how.graph, m, draw)[0] for draw in range(len(graph.draws))]
     centroid = one.points[:, :2].mean(axis=0) if m == 3 else None
@@ -170,7 +143,7 @@ def _measure(case: Case, graph: SurveyGraph, submaps: Sequence[Submap], settings
 
 
 def _split(one: Submap, label: monte_carlo.Settings, runs: int, how: How) -> np.ndarray:
-    rng = monte_carlo.generator(label, one, monte_carlo.LABEL)
+    rng = monte_carlo.generator(label, one, Stream.LABEL)
     return monte_carlo.covariance(monte_carlo.errors(one, runs, rng, label, how.registration).errors)
 
 
@@ -224,7 +197,7 @@ def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.Da
     against_truth = survey_graph.registration_errors(closures, graph.truth)
     errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), placed)
     units = ("x_m", "y_m", "w_rad")
-    described = {name: [case.described[name] for case in cases] for name in _DESCRIBED}
+    described = {name: [case.described[name] for case in cases] for name in tables.DESCRIPTION}
     return pd.DataFrame(
         {
             "survey": graph.survey,
@@ -235,7 +208,7 @@ def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.Da
             **described,
             **{
                 f"{k}_{u}": e[:, a]
-                for k, e in zip(_KINDS, errors, strict=True)
+                for k, e in zip(tables.KINDS, errors, strict=True)
                 for a, u in enumerate(units[: e.shape[1]])
             },
         }

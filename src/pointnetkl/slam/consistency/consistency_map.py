@@ -8,12 +8,11 @@ import json
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from pointnetkl.slam.consistency.map_cells import Cells
 from pointnetkl.surveys import pose_table
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
@@ -25,6 +24,19 @@ _NOWHERE = 'LOCAL_CS["local",UNIT["metre",1],AXIS["east",EAST],AXIS["north",NORT
 
 class ConsistencyError(PointNetKLError):
     """A consistency map cannot be written or read."""
+
+
+class Cells(NamedTuple):
+    """The k cells of a map that two or more submaps share, by column and then row."""
+
+    column: np.ndarray  # (k,) int64, counted eastwards: column 0 begins at the map frame's origin
+    row: np.ndarray  # (k,) int64, northwards
+    error_m: np.ndarray  # (k,) of the worst pair of submaps
+
+    @property
+    def rms(self) -> float:
+        """Return the root mean square of the errors, metres; NaN without cells."""
+        return rms(self.error_m)
 
 
 @dataclass(frozen=True)
@@ -52,6 +64,25 @@ class Rasters:
 
     errors: Mapping[str, np.ndarray]
     extent: tuple[float, float, float, float]  # west, east, south, north, metres in the survey's CRS
+
+
+def rms(errors: np.ndarray) -> float:
+    """Return the root mean square of cells' errors (k,); NaN without cells."""
+    return float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
+
+
+def read_origin(path: Path) -> tuple[tuple[float, float], str]:
+    """Return the map frame's origin (easting, northing in metres) and its CRS, which may be "local", of a pings file.
+
+    Raises:
+        ConsistencyError: the file has no origin or no CRS.
+        ArtifactError: the file is missing or damaged.
+    """
+    metadata = artifacts.table_metadata(path)
+    if len(metadata.get("origin", ())) != 2 or "crs" not in metadata:
+        raise ConsistencyError(f"{path}: must name the crs and origin of its map frame; run dvc repro ingest")
+    east, north = metadata["origin"]
+    return (float(east), float(north)), str(metadata["crs"])
 
 
 def of_trajectories(trajectories: pd.DataFrame, cells_at: Callable[[np.ndarray], Cells]) -> dict[str, Cells]:

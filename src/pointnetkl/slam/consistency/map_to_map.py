@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pandas as pd
 
-from pointnetkl.slam.consistency import map_kernel
-from pointnetkl.slam.consistency.map_cells import Cells
+from pointnetkl.slam.consistency import map_kernel, tables
+from pointnetkl.slam.consistency.consistency_map import Cells
 from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose
 from pointnetkl.workflow import compute
@@ -60,6 +60,25 @@ class MapToMap:
         in_shares(lambda begin, end: map_kernel.worst_pairs(begin, end, *arguments), len(keys))
         shared = worst >= 0.0
         return Cells(*footprint.places(keys[shared]), worst[shared])
+
+
+def thinning_table(survey: str, clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> pd.DataFrame:
+    """Return the map-to-map error by thinning (tables.THINNING): clouds (n_i, 3), poses (n, 4, 4), cells in metres.
+
+    Thinning changes the measure. With fewer points that ask, submaps that barely reach into a cell are overlooked, and
+    their pairs have the largest errors there; but the worst pair of a cell is known less surely, which makes it worse.
+    With fewer points that answer every distance is longer, so that a map looks worse than it is.
+    """
+    return pd.DataFrame([_thinning_row(survey, clouds, poses, cell, thinning) for thinning in tables.THINNINGS])
+
+
+def _thinning_row(
+    survey: str, clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float, thinning: int
+) -> dict[str, str | float]:
+    asking = MapToMap(clouds, cell, thinning).cells(poses)
+    both = MapToMap([cloud[::thinning] for cloud in clouds], cell, 1).cells(poses) if thinning > 1 else asking
+    sizes = {"thinning": thinning, "cells": len(asking.row)}
+    return {"survey": survey, **sizes, "map_to_map_m": asking.rms, "both_thinned_m": both.rms}
 
 
 def in_shares(work: Callable[[int, int], None], count: int) -> None:

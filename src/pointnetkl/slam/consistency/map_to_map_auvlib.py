@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pointnetkl.slam.consistency import map_cells, map_kernel, map_to_map
+from pointnetkl.slam.consistency import consistency_map, map_kernel, map_to_map
 from pointnetkl.surveys import pose
 
 CELLS = 500  # along each side of the map
@@ -44,7 +44,7 @@ class MapToMapAuvlib:
         error = np.empty(CELLS * CELLS)
         arguments = (CELLS, runs, np.append(first, len(points)), owner[first], drawn, points, error)
         map_to_map.in_shares(lambda begin, end: map_kernel.sampled_pairs(begin, end, *arguments), CELLS)
-        return map_cells.rms(error[error >= 0.0])
+        return consistency_map.rms(error[error >= 0.0])
 
 
 def _cells(points: np.ndarray) -> np.ndarray:

@@ -13,11 +13,10 @@ import numpy as np
 
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
+from pointnetkl.slam.robust import tables
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive
 
-KERNELS = ("plain", "huber", "cauchy", "dcs", "gnc")  # plain: no robust estimator
-FIRST = "cauchy"  # finds its way from corrupted poses; the others begin where it ends
 ACCEPTED = 0.5  # of a closure's weight in the solution: above it the estimator took the closure for true
 _ESTIMATORS: dict[str, Callable[[float], Any]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
@@ -83,7 +82,7 @@ class RobustGraph:
         self._plain = self._closures(self._models)
 
     def solve(self, kernel: str, start: Solution | None = None) -> Solution:
-        """Return what one of KERNELS makes of the graph, from a solution or else from the initial poses.
+        """Return what one of tables.KERNELS makes of the graph, from a solution or else from the initial poses.
 
         Raises:
             RobustError: the linear system has no solution, or the answer is not finite.
@@ -97,7 +96,7 @@ class RobustGraph:
 
     def _kernel(self, kernel: str, start: Solution | None) -> Solution:
         closures, estimator = self._plain, None
-        if kernel != "plain":
+        if kernel != tables.PLAIN:
             estimator = _ESTIMATORS[kernel](getattr(self._thresholds, kernel))
             closures = self._closures([gtsam.noiseModel.Robust.Create(estimator, model) for model in self._models])
         initial = self._initial if start is None else start.values

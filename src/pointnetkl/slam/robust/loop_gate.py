@@ -4,26 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from scipy import sparse
 
 from pointnetkl.slam.graph import footprint
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
+from pointnetkl.slam.robust import tables
 from pointnetkl.surveys import pose
-
-# A row per gate that was tried; counts of pairs, which may be null.
-GATE = pa.schema(
-    [
-        ("survey", pa.string()),
-        ("at", pa.string()),  # the poses that the gate had: the graph's own, navigation, or corrupted
-        ("draw", pa.int32()),  # of the graph's loop closures, or repetition of the corruption
-        ("joined", pa.int32()),
-        ("covering", pa.float64()),  # the earlier covers enough of the later at the true poses; null without truth
-        ("both", pa.float64()),
-    ]
-)
-GRAPH, NAVIGATION, CORRUPTED = "graph", "navigation", "corrupted"
 
 
 def coverages(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> np.ndarray:
@@ -42,17 +29,17 @@ def coverages(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> n
 def table(
     graph: SurveyGraph, clouds: Sequence[np.ndarray], corrupted: Sequence[np.ndarray], cell: float, coverage: float
 ) -> pd.DataFrame:
-    """Return the gate's counts (GATE) for pairs of which the earlier covers `coverage` of the later.
+    """Return the gate's counts (tables.GATE) for pairs of which the earlier covers `coverage` of the later.
 
     Of the graph's loop closures, which Algorithm 1 found at GT as it corrected it; and of pairs that cover as much at
     navigation's poses, and at corrupted ones (each n, 4, 4), where nobody has corrected anything.
     """
     due = None if np.isnan(graph.truth).any() else _covering(clouds, graph.truth, cell, coverage)
-    tried = [(GRAPH, draw, _joined(each.edges, len(clouds))) for draw, each in enumerate(graph.draws)]
-    tried.append((NAVIGATION, 0, _covering(clouds, graph.navigation, cell, coverage)))
-    tried += [(CORRUPTED, i, _covering(clouds, T, cell, coverage)) for i, T in enumerate(corrupted)]
+    tried = [(tables.GRAPH, draw, _joined(each.edges, len(clouds))) for draw, each in enumerate(graph.draws)]
+    tried.append((tables.NAVIGATION, 0, _covering(clouds, graph.navigation, cell, coverage)))
+    tried += [(tables.CORRUPTED, i, _covering(clouds, T, cell, coverage)) for i, T in enumerate(corrupted)]
     rows = [{"survey": graph.survey, "at": at, "draw": draw, **_counts(joined, due)} for at, draw, joined in tried]
-    return pd.DataFrame(rows, columns=GATE.names)
+    return pd.DataFrame(rows, columns=tables.GATE.names)
 
 
 def _covering(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float, coverage: float) -> np.ndarray:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.registration.covariance import metrics
 from pointnetkl.slam.benchmark import errors as slam_errors
@@ -17,30 +16,12 @@ from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import gtsam_search, pose_graph, survey_graph
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
-from pointnetkl.slam.robust import estimators, false_closures
+from pointnetkl.slam.robust import estimators, false_closures, tables
 from pointnetkl.slam.robust.estimators import RobustGraph, Solution, Thresholds
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
 
-# A row per kernel, start, share, method and repetition. What a run that failed would have found is null.
-ROWS = pa.schema(
-    [
-        *((name, pa.string()) for name in ("survey", "kernel", "start", "method")),
-        ("share", pa.float64()),  # of all loop closures, those that are false
-        ("draw", pa.int32()),  # of the true loop closures
-        ("repetition", pa.int32()),  # of the yaw noise and the false ones
-        ("true_closures", pa.int32()),
-        ("false_closures", pa.int32()),
-        *((name, pa.float64()) for name in ("rmse_xyz_m", "truth_rmse_xyz_m", "truth_relative_m")),
-        *((name, pa.float64()) for name in ("accepted_true", "accepted_false")),  # weight above robust.ACCEPTED
-        ("failed", pa.bool_()),
-    ]
-)
-SETTLED, CORRUPTED = (
-    estimators.FIRST,
-    "corrupted",
-)  # where a search started: where that kernel ended, or at the first poses
 _NOISE, _FALSE = 0, 1  # streams of random numbers
 Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 
@@ -98,12 +79,12 @@ def chosen(covariances: Methods, settings: Settings, survey: str) -> dict[str, M
 
 
 def benchmark(case: Case) -> pd.DataFrame:
-    """Return the table (ROWS); repetitions run in parallel, and a survey that closes no loop has only share 0."""
+    """Return tables.ROWS; repetitions run in parallel, and a survey that closes no loop has only share 0."""
     doing = f"wrong loop closures, {case.graph.survey}"
     rows = compute.over(
         functools.partial(_repetition, case), range(case.settings.repetitions), doing, unit="repetition"
     )
-    return pd.DataFrame([row for each in rows for row in each], columns=ROWS.names)
+    return pd.DataFrame([row for each in rows for row in each], columns=tables.ROWS.names)
 
 
 def corrupt(case: Case, repetition: int) -> np.ndarray:
@@ -151,14 +132,14 @@ def _repetition(case: Case, repetition: int) -> list[dict[str, Any]]:
 
 def _solutions(graph: RobustGraph, from_corrupted: bool) -> Iterator[tuple[str, str, Solution | None]]:
     """Yield kernel, start and solution, None where there is none."""
-    first = _attempt(graph, estimators.FIRST, None)
-    for kernel in estimators.KERNELS:
-        if kernel in ("plain", estimators.FIRST):
-            yield kernel, CORRUPTED, first if kernel == estimators.FIRST else _attempt(graph, kernel, None)
+    first = _attempt(graph, tables.FIRST, None)
+    for kernel in tables.KERNELS:
+        if kernel in (tables.PLAIN, tables.FIRST):
+            yield kernel, tables.CORRUPTED, first if kernel == tables.FIRST else _attempt(graph, kernel, None)
         else:
-            yield kernel, SETTLED, _attempt(graph, kernel, first)
+            yield kernel, tables.SETTLED, _attempt(graph, kernel, first)
             if from_corrupted:
-                yield kernel, CORRUPTED, _attempt(graph, kernel, None)
+                yield kernel, tables.CORRUPTED, _attempt(graph, kernel, None)
 
 
 def _attempt(graph: RobustGraph, kernel: str, start: Solution | None) -> Solution | None:
