@@ -17,12 +17,12 @@ import pandas as pd
 from pointnetkl import simulation, training
 from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import metrics, table
 from pointnetkl.reporting import results, terrain, text_table
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
 from pointnetkl.training import dataset, device
-from pointnetkl.training.dataset import Samples
 from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow import study as studies
 

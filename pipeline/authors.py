@@ -15,6 +15,7 @@ from pointnetkl.authors.consolidated import Consolidated
 from pointnetkl.authors.tables import Judged
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
+from pointnetkl.models.samples import Samples
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.text_table import Block
 from pointnetkl.training import checkpoint, dataset, device
@@ -79,7 +80,7 @@ def check_apart(learned: Mapping[str, Consolidated], tests: Mapping[str, Consoli
 def train(
     kind: network.Settings,
     chosen: training.Settings,
-    sets: tuple[dataset.Samples, dataset.Samples],
+    sets: tuple[Samples, Samples],
     kept: checkpoint.Checkpoint,
 ) -> tuple[network.PointNetKL, training.Outcome]:
     """Train as stage train does; killed and started again it goes on from the last checkpoint."""
@@ -92,9 +93,7 @@ def train(
     return model, outcome
 
 
-def judge(
-    model: network.PointNetKL, sets: Sequence[dataset.Samples], tests: Mapping[str, Consolidated]
-) -> dict[str, Judged]:
+def judge(model: network.PointNetKL, sets: Sequence[Samples], tests: Mapping[str, Consolidated]) -> dict[str, Judged]:
     """Return labels and predictions of whole clouds: training, validation, then each test file."""
     every = {"training": sets[0], "validation": sets[1]}
     every |= {name: consolidated.samples({name: file}) for name, file in tests.items()}

@@ -11,6 +11,7 @@ import pandas as pd
 from pointnetkl import training
 from pointnetkl.models import mean_field, mean_field_network, model_file, novelty
 from pointnetkl.models.model import Model
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import model_card
@@ -66,7 +67,7 @@ def main(arguments: argparse.Namespace) -> None:
     kept.discard()
 
 
-def found(params: Path, form: type[Any], samples: dataset.Samples) -> dict[str, Any]:
+def found(params: Path, form: type[Any], samples: Samples) -> dict[str, Any]:
     """Return the settings of a network that its labels decide: how many dimensions, and how they were made."""
     if form is not mean_field_network.Settings:
         return {"dimensions": samples.label.shape[-1]}
@@ -80,9 +81,7 @@ def write_losses(path: Path, history: pd.DataFrame) -> None:
     artifacts.write_bytes(path, history.to_csv(index=False, float_format="%.6g").encode())
 
 
-def summary(
-    model: Model, sets: tuple[dataset.Samples, dataset.Samples], outcome: training.Outcome, floor: float
-) -> dict[str, Any]:
+def summary(model: Model, sets: tuple[Samples, Samples], outcome: training.Outcome, floor: float) -> dict[str, Any]:
     """Return the final model's mean KL (nats) on whole clouds, with the floor and without, and the counts."""
     divergences: dict[str, dict[str, float]] = {"kl": {}, "kl_floor0": {}}
     for name, samples in zip(("training", "validation"), sets, strict=True):
@@ -96,7 +95,7 @@ def summary(
     return {**divergences, **counts, "floor_m2": floor}
 
 
-def flagged(known: novelty.Known, parts: tuple[dataset.Samples, dataset.Samples]) -> dict[str, float]:
+def flagged(known: novelty.Known, parts: tuple[Samples, Samples]) -> dict[str, float]:
     """Return the share of submaps that the model's file says are unlike the training ones."""
     shares = [float(np.mean(known.distance(part.described) > known.limit)) for part in parts]
     return {name: float(f"{share:.4g}") for name, share in zip(("training", "validation"), shares, strict=True)}

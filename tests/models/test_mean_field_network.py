@@ -14,9 +14,9 @@ import toy_submaps
 from pointnetkl.models import cholesky, mean_field, mean_field_network, model_file
 from pointnetkl.models.mean_field_network import AXIS, WHOLE, MeanFieldNetwork, MeanFieldNetworkError
 from pointnetkl.models.model import predict
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.training import loss
-from pointnetkl.training.dataset import Samples
 
 LABEL = dataclasses.replace(toy_submaps.LABEL, noise_sigma_m=0.2)
 GIVEN = mean_field.conditions(LABEL, toy_submaps.REGISTRATION)

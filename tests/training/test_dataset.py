@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import submap, voxel
 from pointnetkl.training import dataset
@@ -32,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def numbers(samples: dataset.Samples, survey: str) -> np.ndarray:
+def numbers(samples: Samples, survey: str) -> np.ndarray:
     return samples.submap[samples.survey == survey]
 
 
@@ -114,7 +115,7 @@ def test_a_survey_of_one_submap_cannot_be_split(tmp_path: Path):
 
 def test_points_are_drawn_twice_only_where_there_are_too_few(folder: Path):
     samples = dataset.read(folder, ["baltic"])[0]
-    points, radius = dataset.draw(samples, np.array([0, 19]), 35, np.random.default_rng(0))
+    points, radius = samples.draw(np.array([0, 19]), 35, np.random.default_rng(0))
     assert (points.shape, radius.tolist()) == ((2, 35, 3), [100.0, 119.0])
     for cloud, drawn, distinct in ((samples.clouds[0], points[0], 30), (samples.clouds[19], points[1], 35)):
         assert {tuple(p) for p in drawn} <= {tuple(p) for p in cloud}

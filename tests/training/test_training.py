@@ -20,10 +20,11 @@ from pointnetkl.models import cholesky, model_file
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models import trained as trained_method
 from pointnetkl.models.model import predict
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.training import checkpoint, dataset, device
+from pointnetkl.training import checkpoint, device
 from pointnetkl.workflow import parameters
 from toy_labels import until
 
@@ -51,14 +52,14 @@ QUICK = training.Settings(
 )
 
 
-def samples(count: int, seed: int = 0) -> dataset.Samples:
+def samples(count: int, seed: int = 0) -> Samples:
     """Return clouds whose roughness decides their label: flat ones slide, rough ones do not."""
     rng = np.random.default_rng(seed)
     rough = np.linspace(0, 1, count)
     flat = rng.uniform(-0.6, 0.6, (count, 64, 3)).astype(np.float32)
     clouds = [c * [1, 1, r] for c, r in zip(flat, rough, strict=True)]
     label = np.exp(1.5 - 4 * rough)[:, None, None] * np.eye(2)
-    return dataset.Samples(
+    return Samples(
         np.full(count, "made"), np.arange(count, dtype=np.int32), [c.astype(np.float32) for c in clouds],
         np.full(count, 100.0), label,
     )  # fmt: skip
@@ -147,7 +148,7 @@ def test_batch_norm_statistics_make_evaluation_agree_with_training():
     model, _ = trained(dataclasses.replace(QUICK, steps=20), kind)
     model.train()
     with torch.no_grad():
-        points, radius = (torch.from_numpy(a) for a in dataset.draw(every, np.arange(8), 64, np.random.default_rng(0)))
+        points, radius = (torch.from_numpy(a) for a in every.draw(np.arange(8), 64, np.random.default_rng(0)))
         in_training = cholesky.covariance(model(points, radius).double()).numpy()
     training.finish(model, every, QUICK)
     # not exactly: of eight submaps, a variance with n and with n - 1 differ by a seventh
@@ -307,7 +308,7 @@ def test_evaluation_does_not_blow_up_on_a_batch_unlike_what_was_trained_on():
     """Batch norms that remember passing batches answered such ones with a validation KL of thousands."""
     model, _ = trained(dataclasses.replace(QUICK, steps=30, learning_rate=0.01))
     steep = samples(8, seed=2)
-    wild = dataset.Samples(
+    wild = Samples(
         steep.survey, steep.submap, [c * np.float32([1, 1, 3]) for c in steep.clouds], 5 * steep.radius, steep.label
     )
     q = training.predict(model, wild)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from pointnetkl.authors import object_array
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
-from pointnetkl.training import dataset
 from pointnetkl.workflow.errors import PointNetKLError
 
 # What the authors' files are in Tables I and II. Of a test survey they have two: `slam` with the submaps that they
@@ -93,9 +93,9 @@ def read(path: Path) -> Consolidated:
     return Consolidated(voxel.Clouds.of(range(len(clouds)), clouds), np.stack(labels), np.stack(priors), files)
 
 
-def samples(every: Mapping[str, Consolidated]) -> dataset.Samples:
+def samples(every: Mapping[str, Consolidated]) -> Samples:
     """Return the submaps of all files as the network learns them; each file is a survey, with its key for a name."""
-    return dataset.Samples(
+    return Samples(
         np.repeat(list(every), [len(each) for each in every.values()]),
         np.concatenate([each.clouds.submap for each in every.values()]),
         [each.clouds.cloud(i).points for each in every.values() for i in range(len(each))],

@@ -16,7 +16,7 @@ from torch.nn import functional
 from pointnetkl.models import mean_field
 from pointnetkl.models.mean_field import Conditions, Description
 from pointnetkl.models.model import Example, Model
-from pointnetkl.training.dataset import Samples
+from pointnetkl.models.samples import Samples
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from pointnetkl.models import cholesky
-from pointnetkl.training.dataset import Samples
+from pointnetkl.models.samples import Samples
 from pointnetkl.workflow.errors import PointNetKLError
 
 

@@ -15,8 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pointnetkl.models.model import Example, Model
-from pointnetkl.training import dataset
-from pointnetkl.training.dataset import Samples
+from pointnetkl.models.samples import Samples
 from pointnetkl.workflow import parameters
 
 _CACHED = 1024  # points whose 1024 features stay in a core's cache until their largest are found
@@ -157,7 +156,7 @@ class PointNetKL(Model):
         self, samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, ...]:
         """Return points (b, n, 3) of canonical clouds and their radii (b,), float32."""
-        return dataset.draw(samples, which, points, rng)
+        return samples.draw(which, points, rng)
 
     def example(self) -> dict[str, Example]:
         """Return two clouds and their radii; there may be more, of more points."""

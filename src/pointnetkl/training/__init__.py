@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 from pointnetkl.models import model
 from pointnetkl.models.model import Model
-from pointnetkl.training import batch_norm, dataset, device, loss
+from pointnetkl.models.samples import Samples
+from pointnetkl.training import batch_norm, device, loss
 from pointnetkl.training.checkpoint import Checkpoint
-from pointnetkl.training.dataset import Samples
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -211,7 +211,7 @@ def predict(trained: Model, samples: Samples) -> np.ndarray:
 def _take_statistics(of: Model, training: Samples, chosen: Settings, points: int) -> None:
     rng = np.random.default_rng([chosen.seed, _STATISTICS])
     which = rng.permutation(len(training))[: chosen.statistics_batches * chosen.statistics_batch]
-    batch_norm.take_statistics(of, training, dataset.parts(which, chosen.statistics_batch), points, rng)
+    batch_norm.take_statistics(of, training, _parts(which, chosen.statistics_batch), points, rng)
 
 
 def _validate(of: Model, training: Samples, validation: Samples, chosen: Settings, step: int) -> float:
@@ -224,10 +224,15 @@ def _validate(of: Model, training: Samples, validation: Samples, chosen: Setting
         _take_statistics(of, training, chosen, chosen.points)
         rng = np.random.default_rng([chosen.seed, _VALIDATION])
         which = np.arange(len(validation))
-    parts = dataset.parts(which, chosen.batch)
+    parts = _parts(which, chosen.batch)
     with torch.no_grad():
         each = [loss.divergences(of, validation, part, chosen.points, chosen.floor_m2, rng) for part in parts]
     return float(torch.cat(each).mean())
+
+
+def _parts(indices: np.ndarray, size: int) -> list[np.ndarray]:
+    """Return indices in parts of about equal length, none longer than `size`."""
+    return np.array_split(indices, -(-len(indices) // size))
 
 
 def _finite(value: float, step: int) -> float:

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from pointnetkl.models.model import Model, to_tensors
-from pointnetkl.training.dataset import Samples
+from pointnetkl.models.samples import Samples
 
 
 def take_statistics(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pointnetkl.training.dataset import Samples
+from pointnetkl.models.samples import Samples
 from pointnetkl.workflow import artifacts
 
 

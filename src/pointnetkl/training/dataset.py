@@ -3,12 +3,12 @@
 import dataclasses
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.surveys import submap, voxel
 from pointnetkl.workflow import artifacts, compute
@@ -20,28 +20,6 @@ LABEL = pa.schema([("submap", pa.int32())] + [(f"q_{axes}_m2", pa.float64()) for
 
 class DatasetError(PointNetKLError):
     """The training surveys' files are missing, or do not fit together."""
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Submaps to learn from: equal indices are one submap."""
-
-    survey: np.ndarray  # (k,) names
-    submap: np.ndarray  # (k,) int32, ascending within a survey, which is their order along its track
-    clouds: list[np.ndarray]  # k of (n, 3) float32, canonical
-    radius: np.ndarray  # (k,) metres
-    label: np.ndarray  # (k, M, M) m^2
-    described: np.ndarray | None = None  # (k, D) float32, of the submaps' own points, where a model asks for it
-
-    def __len__(self) -> int:
-        """Return the number of submaps."""
-        return len(self.clouds)
-
-    def take(self, which: np.ndarray) -> "Samples":
-        """Return the submaps at the given indices."""
-        clouds = [self.clouds[i] for i in which]
-        described = None if self.described is None else self.described[which]
-        return Samples(self.survey[which], self.submap[which], clouds, self.radius[which], self.label[which], described)
 
 
 def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
@@ -94,25 +72,6 @@ def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Sampl
         ]
     )
     return samples.take(np.flatnonzero(~held_back)), samples.take(np.flatnonzero(held_back))
-
-
-def draw(
-    samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return as many random points of each chosen cloud (b, points, 3), float32, and the radii (b,), float32.
-
-    A point comes twice only where the cloud has fewer: nothing is padded, so no batch norm sees what is not there.
-    None: all points, of clouds that have the same number of them.
-    """
-    clouds = [samples.clouds[i] for i in which]
-    if points is not None:
-        clouds = [c[rng.choice(len(c), points, replace=len(c) < points, shuffle=False)] for c in clouds]
-    return np.stack(clouds), samples.radius[which].astype(np.float32)
-
-
-def parts(which: np.ndarray, size: int) -> list[np.ndarray]:
-    """Return indices in parts of about equal length, none longer than `size`."""
-    return np.array_split(which, -(-len(which) // size))
 
 
 def _read_survey(folder: Path, name: str) -> tuple[Samples, float]:

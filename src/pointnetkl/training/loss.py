@@ -6,8 +6,8 @@ from torch import Tensor
 
 from pointnetkl.models import cholesky
 from pointnetkl.models.model import Model, to_tensors
+from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
-from pointnetkl.training.dataset import Samples
 
 
 def divergences(
