@@ -18,7 +18,7 @@ from pointnetkl import simulation, training
 from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
-from pointnetkl.registration.covariance import metrics, table
+from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import results, terrain, text_table
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
@@ -119,7 +119,7 @@ def left_out(
         for name, of in judged.items():
             if np.any(where := classes[name] == each):
                 kl = {
-                    key: metrics.divergence(
+                    key: gaussian.divergence(
                         of.labels[where], model.predict(found, (seen[name][where],)), chosen.kl_floor_m2
                     ).mean()
                     for key, found in answers.items()

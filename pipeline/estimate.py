@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pointnetkl.methods import estimated
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.registration.covariance import method, table
+from pointnetkl.registration.covariance import label_table, method, table
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
 
@@ -16,7 +16,7 @@ def main(arguments: argparse.Namespace) -> None:
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
-    labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
+    labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     covariances = method.tabulate(estimated.methods(labels, chosen, label, registration), submaps)
     sections = {"estimate": chosen, "label": label, "registration": registration}
     params = {section: parameters.as_metadata(values) for section, values in sections.items()}

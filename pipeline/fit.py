@@ -6,6 +6,7 @@ from pathlib import Path
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting, learned
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters, study
 
@@ -29,7 +30,7 @@ def main(arguments: argparse.Namespace) -> None:
 def read_training(folder: Path, surveys: list[str], how: SelfRegistration) -> fitting.Training:
     """Read every training survey's submaps and labels; an error names the first file that is missing."""
     points = [artifacts.read_table(folder / name / "submaps.parquet", submap.POINTS) for name in surveys]
-    columns = monte_carlo.schema(how.registration.dimensions)
+    columns = label_table.schema(how.registration.dimensions)
     labels = [artifacts.read_table(folder / name / "labels.parquet", columns) for name in surveys]
     submaps = [submap.from_table(name, rows) for name, rows in zip(surveys, points, strict=True)]
     return fitting.training(submaps, labels, how)

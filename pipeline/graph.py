@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration import gicp
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.slam.closures import graph_construction, loop_closure
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.surveys import pose_table, submap, survey
@@ -24,7 +25,7 @@ def main(arguments: argparse.Namespace) -> None:
     artifacts.require_survey(name, *tables)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
-    labels = artifacts.read_table(arguments.labels, monte_carlo.schema(registration.dimensions))
+    labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
     spacing, navigation = float(np.median(labels["spacing_m"])), pose_table.poses(poses)
     if artifacts.table_metadata(arguments.pings).get("kind") == "points":  # tiles, which nobody went along

@@ -8,6 +8,7 @@ import pandas as pd
 
 from pointnetkl.labels import shards, warnings
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.workflow import artifacts, command, parameters, study
 
 
@@ -22,7 +23,7 @@ def main(arguments: argparse.Namespace) -> None:
     )
     labels, made = shards.labels(job)
     print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
-    schema = monte_carlo.schema(registration.dimensions)
+    schema = label_table.schema(registration.dimensions)
     rows = pd.DataFrame([one.row for one in labels], columns=schema.names)
     metadata = {
         "survey": arguments.survey,

@@ -9,6 +9,7 @@ import pandas as pd
 
 from pointnetkl.labels import sensitivity
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, compute, parameters, study
 
@@ -33,7 +34,7 @@ def main(arguments: argparse.Namespace) -> None:
     found = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
     sections = {"vary": chosen, "label": label, "registration": registration}
     params = {name: parameters.as_metadata(values) for name, values in sections.items()}
-    schema = sensitivity.schema(registration.dimensions)
+    schema = label_table.variations_schema(registration.dimensions)
     variations = pd.DataFrame(chain.from_iterable(found), columns=schema.names)
     artifacts.write_table(arguments.variations, variations, schema, {"survey": arguments.survey, "params": params})
 

@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from pointnetkl.labels import sensitivity
 from pointnetkl.registration import monte_carlo
-from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.benchmark import tables as slam_tables
 from pointnetkl.slam.closures import tables as closure_tables
@@ -159,11 +158,11 @@ def _write_survey(data: Path, fake: Fake) -> None:
 
 def _write_labels(data: Path, fake: Fake) -> None:
     rng, k = _rng(fake.name), len(fake.q)
-    rows = pd.DataFrame(dict.fromkeys(monte_carlo.LABELS.names, 0.0), index=range(k)).assign(
+    rows = pd.DataFrame(dict.fromkeys(label_table.LABELS.names, 0.0), index=range(k)).assign(
         submap=range(k), runs=50, spacing_m=2.3, self_matching=False, **_columns(fake.q), **_WENT
     )
     label = {"copy": "same", "noise_sigma_m": 0.2, "prior_variance_m2": 9.0}
-    artifacts.write_table(data / f"labels/{fake.name}.parquet", rows, monte_carlo.LABELS, {"label": label})
+    artifacts.write_table(data / f"labels/{fake.name}.parquet", rows, label_table.LABELS, {"label": label})
     draws = np.einsum("kij,klj->kli", np.linalg.cholesky(fake.q), rng.normal(size=(k, HELD_OUT, 2)))
     samples = {"submap": np.arange(k, dtype=np.int32), "errors": draws, "held_out": draws}
     artifacts.write_arrays(data / f"labels/{fake.name}_errors.npz", samples, {})
@@ -182,7 +181,7 @@ def _write_variations(data: Path, fake: Fake) -> None:
             for sigma, cell in ((0.0, 4.0), (0.1, 4.0), (0.2, 4.0), (0.2, 8.0))
         ]
     path = data / f"variations/{fake.name}.parquet"
-    artifacts.write_table(path, pd.DataFrame(rows).assign(**_WENT), sensitivity.VARIATIONS, {})
+    artifacts.write_table(path, pd.DataFrame(rows).assign(**_WENT), label_table.VARIATIONS, {})
 
 
 def _variation(

@@ -13,6 +13,7 @@ import pytest
 import terrains
 from pointnetkl.labels import sensitivity
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.segmentation import spacing
 from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
@@ -49,14 +50,14 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def case(number: int, study: str = sensitivity.CONDITIONS, **change: Any) -> sensitivity.Case:
+def case(number: int, study: str = label_table.CONDITIONS, **change: Any) -> sensitivity.Case:
     usual = sensitivity.Case(number, study, "same", 0.2, 1.0, 60)
     return dataclasses.replace(usual, **change)
 
 
 def rows(path: Path, of: sensitivity.Case) -> pd.DataFrame:
     found = sensitivity.rows(of, "small", path, CELL_M, SETTINGS, LABEL, REGISTRATION)
-    return pd.DataFrame(found, columns=sensitivity.VARIATIONS.names)
+    return pd.DataFrame(found, columns=label_table.VARIATIONS.names)
 
 
 def trace(path: Path, of: sensitivity.Case) -> float:
@@ -80,13 +81,13 @@ def test_a_ridge_is_less_rugged_than_what_leans_both_ways():
 def test_every_condition_is_asked_for_once_for_both_copies():
     found = sensitivity.cases([4, 7], SETTINGS, LABEL)
     assert len(found) == len(set(found)) == 2 * (1 + 2 * 3)
-    assert [one.submap for one in found if one.study == sensitivity.RUNS] == [4, 7]
-    conditions = {(one.copy, one.noise_sigma_m, one.thinning) for one in found if one.study == sensitivity.CONDITIONS}
+    assert [one.submap for one in found if one.study == label_table.RUNS] == [4, 7]
+    conditions = {(one.copy, one.noise_sigma_m, one.thinning) for one in found if one.study == label_table.CONDITIONS}
     assert conditions == {(c, *o) for c in ("same", "split") for o in ((0.2, 1.0), (0.2, 2.0), (0.0, 1.0))}
 
 
 def test_parts_share_no_run_and_the_last_row_is_the_whole(path: Path):
-    found = rows(path, case(1, sensitivity.RUNS))
+    found = rows(path, case(1, label_table.RUNS))
     assert found.groupby("runs")["repeat"].apply(list).to_dict() == {13: [0, 1, 2, 3], 30: [0, 1], 60: [0]}
     halves, whole = found[found["runs"] == 30], found.iloc[-1]
     # second moments of parts add up to that of the whole
@@ -94,7 +95,7 @@ def test_parts_share_no_run_and_the_last_row_is_the_whole(path: Path):
 
 
 def test_a_part_of_all_runs_is_the_label_of_so_many(path: Path):
-    long, short = rows(path, case(1, sensitivity.RUNS)), rows(path, case(1, runs=30))
+    long, short = rows(path, case(1, label_table.RUNS)), rows(path, case(1, runs=30))
     first = long[(long["runs"] == 30) & (long["repeat"] == 0)]
     assert first["q_xx_m2"].item() == short["q_xx_m2"].item()
 
@@ -168,7 +169,7 @@ def test_the_stage_writes_the_same_table_whatever_the_workers(tmp_path: Path, pa
         assert done.returncode == 0, done.stderr
         written.append(out.read_bytes())
     assert written[0] == written[1]
-    found = artifacts.read_table(out, sensitivity.VARIATIONS)
+    found = artifacts.read_table(out, label_table.VARIATIONS)
     assert set(found["copy"]) == {"same", "split"}
     assert found["submap"].nunique() == 2
     assert artifacts.table_metadata(out)["params"]["label"]["noise_sigma_m"] == 0.2

@@ -14,6 +14,7 @@ from test_dvc_yaml import SOURCE, closure
 from pointnetkl.labels import shards
 from pointnetkl.labels.shards import ShardError
 from pointnetkl.registration import monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.surveys import submap
 from toy_labels import SETTINGS, SUBMAPS, intact, job, one, same_label, write
 
@@ -174,7 +175,7 @@ def test_a_survey_without_submaps_is_refused(tmp_path: Path):
 
 
 def test_numbers_that_are_not_finite_are_kept(tmp_path: Path):
-    row = dict.fromkeys(monte_carlo.LABELS.names, 0.5) | {"relative_error": np.float64(np.inf), "runs": np.int32(3)}
+    row = dict.fromkeys(label_table.LABELS.names, 0.5) | {"relative_error": np.float64(np.inf), "runs": np.int32(3)}
     label = monte_carlo.Label(row, np.full((3, 2), np.nan), np.zeros((0, 2)))
     shards.write(tmp_path / "x.npz", label)
     found = shards.read(tmp_path / "x.npz")

@@ -12,8 +12,7 @@ import pytest
 
 import fake_artifacts
 from pointnetkl import simulation
-from pointnetkl.registration import monte_carlo
-from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.reporting import report, results
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.slam import figures as slam_figures
@@ -69,14 +68,14 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     q = np.broadcast_to(0.1 * np.eye(2), (len(submaps), 2, 2))
     poses = pd.DataFrame({"submap": numbers, "x_m": T[:, 0, 3], "y_m": T[:, 1, 3], "z_m": T[:, 2, 3]})
     poses = poses.assign(time_s=np.nan, yaw_rad=0.0, track_m=30.0, pings=0, soundings=900, line=0)
-    labels = pd.DataFrame(dict.fromkeys(monte_carlo.LABELS.names, 0.0), index=numbers).assign(
+    labels = pd.DataFrame(dict.fromkeys(label_table.LABELS.names, 0.0), index=numbers).assign(
         submap=numbers, runs=9, spacing_m=SPACING, self_matching=False, q_xx_m2=0.1, q_yy_m2=0.1
     )
     kind = {"kind": "points", "crs": "EPSG:32751", "origin": [5e5, 8e6]}
     for name, frame, schema, metadata in (
         ("submaps", submap.to_table(submaps), submap.POINTS, {}),
         ("poses", poses, submap.POSES, {}),
-        ("labels", labels, monte_carlo.LABELS, {}),
+        ("labels", labels, label_table.LABELS, {}),
         ("pings", survey.PINGS.empty_table().to_pandas(), survey.PINGS, kind),
         ("truth", survey.TRAJECTORY.empty_table().to_pandas(), survey.TRAJECTORY, kind),
         ("estimated", pd.concat(table.from_matrices("toy", m, numbers, q) for m in METHODS), table.SCHEMA, {}),

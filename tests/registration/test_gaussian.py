@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.registration.covariance.gaussian import CovarianceError
 
+RNG = np.random.default_rng(0)
 few = hypothesis_settings(max_examples=50, deadline=None)
 
 
@@ -106,3 +107,65 @@ def test_rounding_far_below_the_variances_is_no_lack_of_symmetry():
 def test_what_is_no_covariance_is_refused(q: list[list[float]], message: str):
     with pytest.raises(CovarianceError, match=message):
         gaussian.check(np.array(q), "here")
+
+
+def gaussian_errors() -> tuple[np.ndarray, np.ndarray]:
+    q = np.array([[[2.0, 0.8], [0.8, 0.5]], [[0.01, 0.0], [0.0, 9.0]]])
+    draws = RNG.normal(size=(2, 20_000, 2))
+    return np.einsum("kij,klj->kli", np.linalg.cholesky(q), draws), q
+
+
+def test_gaussian_errors_are_calibrated_under_their_own_covariance():
+    result = gaussian.calibration(*gaussian_errors())
+    assert result["nees"] == pytest.approx(1.0, abs=0.02)
+    for percent in (50, 90, 95, 99):
+        assert result[f"coverage_{percent}"] == pytest.approx(percent / 100, abs=0.01)
+
+
+def test_a_covariance_four_times_too_small_has_four_times_the_nees_and_covers_less():
+    errors, q = gaussian_errors()
+    right, small = gaussian.calibration(errors, q), gaussian.calibration(errors, q / 4)
+    assert small["nees"] == pytest.approx(4 * right["nees"])
+    assert small["coverage_95"] < right["coverage_95"]
+
+
+def test_calibration_is_unchanged_by_a_change_of_coordinates():
+    errors, q = gaussian_errors()
+    A = np.array([[2.0, 1.0], [0.3, -1.0]])
+    assert gaussian.calibration(errors @ A.T, A @ q @ A.T) == pytest.approx(gaussian.calibration(errors, q))
+
+
+def test_calibration_of_no_errors_is_refused():
+    with pytest.raises(CovarianceError, match="cannot be judged"):
+        gaussian.calibration(np.empty((0, 1, 2)), np.empty((0, 2, 2)))
+
+
+def along(*degrees: float, ratio: float = 9.0) -> np.ndarray:
+    """Return covariances whose major axes lie at these angles."""
+    turn = np.deg2rad(degrees)
+    R = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], -1).reshape(-1, 2, 2)
+    return R @ np.diag([ratio, 1.0]) @ np.swapaxes(R, 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("label", "q", "error"), [(0, 30, 30), (170, 10, 20), (0, 90, 90), (45, -45, 90), (10, 190, 0)]
+)
+def test_an_axis_has_no_direction_and_errs_by_90_degrees_at_most(label: float, q: float, error: float):
+    assert np.rad2deg(gaussian.axis_error(along(label), along(q, ratio=2.0))) == pytest.approx(error, abs=1e-5)
+
+
+def test_the_axis_error_weighs_a_drawn_out_label_more_and_a_round_one_not_at_all():
+    labels = np.concatenate([along(0, ratio=3.0), along(0, ratio=1.0)])
+    assert gaussian.axis_error(labels, along(20, 80)) == pytest.approx(np.deg2rad(20))
+    drawn_out = np.concatenate([along(0, ratio=99.0), along(0, ratio=3.0)])
+    assert np.rad2deg(gaussian.axis_error(drawn_out, along(0, 90))) == pytest.approx(90 * 0.5 / (0.98 + 0.5))
+
+
+def test_a_round_estimate_errs_as_much_as_a_guess():
+    assert np.rad2deg(gaussian.axis_error(along(0, 10, 77), np.tile(2 * np.eye(2), (3, 1, 1)))) == pytest.approx(45)
+
+
+def test_the_axis_of_a_pose_s_covariance_is_that_of_its_position():
+    labels, q = (np.tile(np.diag([0.0, 0.0, 50.0]), (2, 1, 1)) for _ in range(2))
+    labels[:, :2, :2], q[:, :2, :2] = along(0, 5), along(15, 20)
+    assert np.rad2deg(gaussian.axis_error(labels, q)) == pytest.approx(15)

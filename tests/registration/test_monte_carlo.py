@@ -11,7 +11,7 @@ import pytest
 import terrains
 from pointnetkl.labels import warnings
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.registration.covariance import gaussian, metrics, table
+from pointnetkl.registration.covariance import gaussian, label_table, table
 from pointnetkl.registration.streams import Stream
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
@@ -93,8 +93,8 @@ def test_a_label_with_yaw_describes_errors_that_it_has_not_seen() -> None:
     registration = dataclasses.replace(REGISTRATION, dof="xyyaw")
     label = monte_carlo.label(submap("rugged"), 400, dataclasses.replace(SETTINGS, held_out_runs=400), registration)
     q = table.to_matrices(pd.DataFrame([label.row]))
-    assert set(label.row) == set(monte_carlo.schema(3).names)
-    assert metrics.calibration(label.held_out[None], q)["nees"] == pytest.approx(1, abs=0.15)
+    assert set(label.row) == set(label_table.schema(3).names)
+    assert gaussian.calibration(label.held_out[None], q)["nees"] == pytest.approx(1, abs=0.15)
 
 
 def test_a_copy_flatters_and_another_pass_does_not() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.registration.covariance import metrics, table
+from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import terrain
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
@@ -63,7 +63,7 @@ def test_the_short_table_has_a_column_a_method_and_a_row_a_class(found: dict):
 def test_sizes_of_labels_make_up_the_whole_and_never_overlap():
     parts = summary.by_size(JUDGED, SETTINGS)
     assert sum(each["submaps"] for each in parts.values()) == K
-    above = metrics.divergence(Q, JUDGED.covariances["constant"], 0.01)[Q[:, 0, 0] >= 1]
+    above = gaussian.divergence(Q, JUDGED.covariances["constant"], 0.01)[Q[:, 0, 0] >= 1]
     assert parts["above 1"]["kl"]["constant"]["mean"] == pytest.approx(above.mean())
 
 
@@ -85,5 +85,5 @@ def test_both_copies_judge_the_same_submaps_under_the_survey_s_own_conditions():
     found = summary.by_copy("a", labels, JUDGED, variations(), SETTINGS)
     assert [found[copy]["submaps"] for copy in ("same", "split")] == [2, 2]
     assert found["same"]["kl"]["monte_carlo"]["mean"] == pytest.approx(0.0, abs=1e-9)
-    expected = metrics.divergence(3 * Q[[4, 9]], 1.2 * Q[[4, 9]], 0.01).mean()
+    expected = gaussian.divergence(3 * Q[[4, 9]], 1.2 * Q[[4, 9]], 0.01).mean()
     assert found["split"]["kl"]["network"]["mean"] == pytest.approx(expected)

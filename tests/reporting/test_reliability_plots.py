@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting.covariances import reliability_plots
 from pointnetkl.reporting.drawing import plots
 
@@ -29,7 +29,7 @@ def test_a_covariance_too_small_is_under_the_diagonal_and_one_too_large_above():
 def test_coverage_is_that_of_the_metrics():
     table = reliability_plots.coverage("mine", ERRORS, {"constant": 1.3 * Q}, ["constant"])
     at_95 = table.loc[np.isclose(table["nominal"], 0.95), "observed"].item()
-    assert at_95 == pytest.approx(metrics.calibration(ERRORS, 1.3 * Q)["coverage_95"])
+    assert at_95 == pytest.approx(gaussian.calibration(ERRORS, 1.3 * Q)["coverage_95"])
 
 
 def test_methods_of_one_family_differ_in_their_lines():

@@ -15,9 +15,7 @@ import yaml
 
 import fake_artifacts
 from pointnetkl import simulation
-from pointnetkl.labels import sensitivity
-from pointnetkl.registration import monte_carlo
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian, label_table
 from pointnetkl.reporting import report, results, terrain
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
@@ -128,7 +126,7 @@ def test_what_is_not_known_of_a_user_s_survey_is_left_out(numbers: dict[str, dic
 def test_numbers_are_those_of_the_metrics_module(folders: results.Folders, numbers: dict[str, dict]):
     labels = results.read_labels(folders, "borno_8")
     test = results.read_test(folders, "borno_8", labels)
-    expected = metrics.divergence(labels.q, test.covariances["constant"], 0.01).mean()
+    expected = gaussian.divergence(labels.q, test.covariances["constant"], 0.01).mean()
     assert numbers["kl"]["borno_8"]["constant"]["mean"] == pytest.approx(expected, rel=1e-3)
     first = (test.slam["variant"] == "table") & (test.slam["draw"] == 0)
     rows = test.slam[first & (test.slam["method"] == "constant")]
@@ -211,8 +209,8 @@ def test_a_missing_artifact_is_named_before_anything_is_made(copy: Path, name: s
 
 def test_covariances_of_other_submaps_than_the_labels_are_refused(copy: Path):
     path = copy / "data/labels/borno_8.parquet"
-    rows = artifacts.read_table(path, monte_carlo.LABELS)
-    artifacts.write_table(path, rows.iloc[:-1], monte_carlo.LABELS, artifacts.table_metadata(path))
+    rows = artifacts.read_table(path, label_table.LABELS)
+    artifacts.write_table(path, rows.iloc[:-1], label_table.LABELS, artifacts.table_metadata(path))
     with pytest.raises(results.ResultsError, match=r"borno_8_estimated.*18 submaps.*17 labels"):
         make(copy)
 
@@ -274,8 +272,8 @@ def test_every_method_but_the_labels_own_has_a_page_of_its_worst_submaps(made: r
 
 
 def test_what_is_read_of_a_table_is_what_its_stage_writes():
-    assert set(results.LABELS.names) <= set(monte_carlo.LABELS.names)
-    assert set(results.VARIATIONS.names) <= set(sensitivity.VARIATIONS.names)
-    assert (label_study.RUNS, label_study.CONDITIONS) == (sensitivity.RUNS, sensitivity.CONDITIONS)
+    assert set(results.LABELS.names) <= set(label_table.LABELS.names)
+    assert set(results.VARIATIONS.names) <= set(label_table.VARIATIONS.names)
+    assert (label_study.RUNS, label_study.CONDITIONS) == (label_table.RUNS, label_table.CONDITIONS)
     assert set(results.SLAM.names) <= set(slam_tables.ROWS.names)
     assert set(results.TRAJECTORIES.names) <= set(slam_tables.TRAJECTORIES.names)

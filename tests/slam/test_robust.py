@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pointnetkl.registration.covariance import metrics
-from pointnetkl.slam.graph import gtsam_search, pose_graph
+from pointnetkl.slam.graph import gtsam_search, pose_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators, tables
 from pointnetkl.surveys import pose
@@ -47,7 +46,7 @@ def solve(kernel: str, false: int, sigma: float = 0.1, yaw: float = 0.005) -> es
 
 def error(solution: estimators.Solution) -> float:
     """Return the error of a solution's positions, metres."""
-    return metrics.rmse(solution.poses[:, :3, 3], SQUARE[:, :3, 3])
+    return trajectory_error.rmse(solution.poses[:, :3, 3], SQUARE[:, :3, 3])
 
 
 @pytest.mark.parametrize("kernel", ["cauchy", "dcs", "gnc"])

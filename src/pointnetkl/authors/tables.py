@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pointnetkl.authors.consolidated import SURVEYS, Consolidated
-from pointnetkl.registration.covariance import metrics
-from pointnetkl.reporting import paper
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.reporting import intervals, paper
 from pointnetkl.reporting.text_table import Block, block
 from pointnetkl.surveys import voxel
 
@@ -49,7 +49,7 @@ def table_2(sets: Mapping[str, Judged], kl_floor_m2: float, block_submaps: int, 
     """
     rng = np.random.default_rng(seed)
     rows = [
-        _divergences(name, judged, kl_floor_m2, metrics.resamples(len(judged.label), rng, block_submaps))
+        _divergences(name, judged, kl_floor_m2, intervals.resamples(len(judged.label), rng, block_submaps))
         for name, judged in sets.items()
     ]
     columns = ("set", "survey", "submaps", "mean", "ci_low", "ci_high", "median", "mean_floor0", "paper")
@@ -85,8 +85,8 @@ def _spreads() -> list[str]:
 
 def _divergences(name: str, judged: Judged, floor: float, draws: np.ndarray) -> dict[str, object]:
     survey, label = SURVEYS.get(name), judged.label
-    kl = metrics.divergence(label, judged.network, floor)
-    low, high = metrics.mean_ci95(kl, draws)
+    kl = gaussian.divergence(label, judged.network, floor)
+    low, high = intervals.mean_ci95(kl, draws)
     constants = {"constant_train": judged.constant_train, "constant": label.mean(axis=0)}
     return {
         "set": name,
@@ -96,7 +96,7 @@ def _divergences(name: str, judged: Judged, floor: float, draws: np.ndarray) -> 
         "ci_low": low,
         "ci_high": high,
         "median": float(np.median(kl)),
-        "mean_floor0": float(metrics.divergence(label, judged.network, 0.0).mean()),
+        "mean_floor0": float(gaussian.divergence(label, judged.network, 0.0).mean()),
         "paper": paper.KL.get(survey or name),
-        **{key: float(metrics.divergence(label, q, floor).mean()) for key, q in constants.items()},
+        **{key: float(gaussian.divergence(label, q, floor).mean()) for key, q in constants.items()},
     }

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from scipy.spatial import cKDTree
 
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance.label_table import CONDITIONS, RUNS
 from pointnetkl.registration.monte_carlo import Outcome
 from pointnetkl.registration.streams import Stream
 from pointnetkl.segmentation import spacing
@@ -23,30 +22,7 @@ from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
 
-RUNS, CONDITIONS = "runs", "conditions"  # studies: parts of many runs; labels under other spacings and noises
-VARIATIONS = pa.schema(
-    [
-        ("survey", pa.string()),
-        ("submap", pa.int32()),
-        ("study", pa.string()),
-        ("copy", pa.string()),
-        ("noise_sigma_m", pa.float64()),
-        ("cell_m", pa.float64()),  # edge of the cells that one point each was drawn from
-        ("spacing_m", pa.float64()),  # median distance to the nearest neighbour, in the cloud registered to
-        ("points", pa.int32()),  # of that cloud
-        ("repeat", pa.int32()),  # which of the parts of `runs` runs, of study `runs`; no run is in two of them
-        ("runs", pa.int32()),
-        *[(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2", "relative_error")],
-        *[(name, pa.float64()) for name in ("mean_x_m", "mean_y_m")],
-        *[(name, pa.float64()) for name in ("converged_share", "main_basin_share", "iterations_mean")],
-    ]
-)
 _REPEATS = 100  # parts of one size at most: their mean is known to a tenth of their spread
-
-
-def schema(dimensions: int) -> pa.Schema:
-    """Return the schema of labels of M dimensions, 2 or 3."""
-    return VARIATIONS if dimensions == 2 else pa.schema([*VARIATIONS, *table.YAW])
 
 
 class SensitivityError(PointNetKLError):

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.registration.gicp import GicpError
 from pointnetkl.registration.monte_carlo import Label, MonteCarloError
 from pointnetkl.surveys import submap
@@ -164,7 +165,7 @@ def read(path: Path) -> Label | None:
         arrays, metadata = artifacts.read_arrays(path)
         label = Label(metadata["row"], arrays["errors"], arrays["held_out"])
         m = label.errors.shape[-1]
-        known = metadata["name"] == path.name and set(label.row) == set(monte_carlo.schema(m).names)
+        known = metadata["name"] == path.name and set(label.row) == set(label_table.schema(m).names)
         whole = label.errors.shape == (label.row["runs"], m) and label.held_out.shape[1:] == (m,)
         return label if known and whole else None
     except (ArtifactError, IndexError, KeyError, TypeError):

@@ -39,7 +39,7 @@ def quality(labels: pd.DataFrame) -> dict[str, float]:
 
 
 def lines(survey: str, labels: pd.DataFrame, prior_sigma_m: float, target: float | None = None) -> list[str]:
-    """Return what to print of a survey's labels (monte_carlo.LABELS): eigenvalue quantiles and warnings."""
+    """Return what to print of a survey's labels (label_table.LABELS): eigenvalue quantiles and warnings."""
     q = table.to_matrices(labels)
     smaller, larger = np.linalg.eigvalsh(q[:, :2, :2]).T
     percent = " ".join(f"{100 * share:8.0f}%" for share in paper.QUANTILES)

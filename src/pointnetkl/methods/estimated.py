@@ -39,7 +39,7 @@ class Settings:
 def methods(
     labels: pd.DataFrame, settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings
 ) -> list[Method]:
-    """Return the methods for one survey, whose label table (monte_carlo.LABELS) is given."""
+    """Return the methods for one survey, whose label table (label_table.LABELS) is given."""
     return [
         labelled.from_table(catalogue.MONTE_CARLO, labels),
         constant.mean(catalogue.CONSTANT, table.to_matrices(labels)),

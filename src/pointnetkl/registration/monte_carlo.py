@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from pointnetkl.registration import error_statistics, gicp
 from pointnetkl.registration.covariance import gaussian, table
@@ -14,28 +13,6 @@ from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
-
-LABELS = pa.schema(
-    [
-        ("submap", pa.int32()),
-        # of the errors of a registration, as `errors` defines them
-        *((name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")),
-        ("mean_x_m", pa.float64()),  # of the errors: the registration's bias, part of Q
-        ("mean_y_m", pa.float64()),
-        ("runs", pa.int32()),
-        ("converged_share", pa.float64()),
-        ("main_basin_share", pa.float64()),
-        ("iterations_mean", pa.float64()),
-        # standard errors of q_xx, q_xy, q_yy, from the errors' fourth moments
-        *((name, pa.float64()) for name in ("se_xx_m2", "se_xy_m2", "se_yy_m2")),
-        ("relative_error", pa.float64()),  # the largest standard error of a variance u^T Q u, as a share of it
-        ("spacing_m", pa.float64()),  # median distance to the nearest neighbour, in the cloud registered to
-        ("self_matching", pa.bool_()),
-    ]
-)
-# What labels of x, y and yaw have too; w is yaw.
-_ALSO = ("mean_w_rad", "se_xw_m_rad", "se_yw_m_rad", "se_ww_rad2")
-YAW = pa.schema([*table.YAW, *((name, pa.float64()) for name in _ALSO)])
 
 # Runs between two looks at the relative error. Few look Gaussian before a second basin shows; 100 meet one of 5 % of
 # the runs in 99.4 of 100 labels.
@@ -87,11 +64,6 @@ class Outcome:
     errors: np.ndarray  # (L, M) metres and radians: e_l = log(exp(T_hat)^-1 T) of Eq. 5, see `errors`
     converged: np.ndarray  # (L,) bool
     iterations: np.ndarray  # (L,) int32
-
-
-def schema(dimensions: int) -> pa.Schema:
-    """Return the schema of a table of labels of M dimensions, 2 or 3."""
-    return LABELS if dimensions == 2 else pa.schema([*LABELS, *YAW])
 
 
 def generator(settings: Settings, submap: Submap, stream: Stream) -> np.random.Generator:

@@ -1,13 +1,22 @@
-"""Statistics of values that come in draws: within a draw they share their luck, so only draws count as independent.
+"""Intervals and tests: by bootstrap over submaps, and by t over draws of a survey's loop closures.
 
-One hundred noises on one graph share that graph's loop-closure errors: an interval over them is of another noise on
-this graph, and not of another survey like it.
+Values of one draw are not independent: one hundred noises on one graph share that graph's loop-closure errors. An
+interval over them would be of another noise on this graph, and not of another survey like it. So t counts draws.
 """
 
 import numpy as np
 from scipy import stats
 
-FEWEST = 3  # draws, below which their spread says nothing
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.workflow.errors import PointNetKLError
+
+FEWEST = 5  # values of a bootstrap: of fewer an interval would say nothing
+_FEWEST_DRAWS = 3  # below which their spread says nothing
+_DRAWS = 2000  # of the bootstrap
+
+
+class IntervalError(PointNetKLError):
+    """There is nothing to draw an interval from."""
 
 
 def means(values: np.ndarray, draw: np.ndarray) -> np.ndarray:
@@ -18,18 +27,65 @@ def means(values: np.ndarray, draw: np.ndarray) -> np.ndarray:
 
 def interval(values: np.ndarray, draw: np.ndarray) -> tuple[float, float] | None:
     """Return the 95 % t interval of the mean over draws; None of few draws, or where they do not differ."""
-    each = means(values, draw)
-    if not _tell(each):
+    by_draw = means(values, draw)
+    if not _differ(by_draw):
         return None
-    low, high = stats.t.interval(0.95, len(each) - 1, each.mean(), stats.sem(each))
+    low, high = stats.t.interval(0.95, len(by_draw) - 1, by_draw.mean(), stats.sem(by_draw))
     return float(low), float(high)
 
 
 def p_below(differences: np.ndarray, draw: np.ndarray) -> float | None:
     """Return the p-value of a t test over draws that the mean difference is below zero, against that it is not."""
-    each = means(differences, draw)
-    return float(stats.ttest_1samp(each, 0.0, alternative="less").pvalue) if _tell(each) else None
+    by_draw = means(differences, draw)
+    return float(stats.ttest_1samp(by_draw, 0.0, alternative="less").pvalue) if _differ(by_draw) else None
 
 
-def _tell(each: np.ndarray) -> bool:
-    return len(each) >= FEWEST and bool(np.isfinite(each).all()) and each.std() > 1e-12 * np.abs(each).max()
+def _differ(by_draw: np.ndarray) -> bool:
+    enough = len(by_draw) >= _FEWEST_DRAWS and bool(np.isfinite(by_draw).all())
+    return enough and by_draw.std() > 1e-12 * np.abs(by_draw).max()
+
+
+def resamples(count: int, rng: np.random.Generator, block: int = 1) -> np.ndarray:
+    """Return the indices (draws, count) of the values, of `count`, that each draw of a bootstrap takes.
+
+    Values are taken in runs of `block` neighbours, the first after the last, because neighbours may be alike. A run is
+    at most a quarter of the values, or every draw would hold the same ones.
+
+    Raises:
+        IntervalError: there are no values.
+    """
+    if count == 0:
+        raise IntervalError("an interval of no values was asked for; there must be at least one")
+    length = max(1, min(block, count // 4))
+    starts = rng.integers(count, size=(_DRAWS, -(-count // length)))
+    runs = (starts[:, :, None] + np.arange(length)) % count
+    return runs.reshape(_DRAWS, -1)[:, :count]
+
+
+def mean_ci95(values: np.ndarray, draws: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval (percentiles) of the mean of values (n,); `draws` are resamples."""
+    low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def share_better(values: np.ndarray, rivals: np.ndarray, draws: np.ndarray) -> float:
+    """Return the share of draws in which the mean of values (n,) is below that of rivals (n,) of the same submaps."""
+    return float(np.mean((values - rivals)[draws].mean(axis=1) < 0))
+
+
+def kl_summary(
+    labels: np.ndarray, q: np.ndarray, floor: float, draws: np.ndarray
+) -> dict[str, float | tuple[float, float] | None]:
+    """Summarise how far covariances q are from labels, both (n, M, M); `floor` in m^2 is added to both.
+
+    Returns mean, median and ci95 (of the mean, by the bootstrap's `draws`; None of few values) of KL(label || Q) in
+    nats, mean_floor0, without the floor, and axis_error_deg (`gaussian.axis_error`).
+    """
+    kl = gaussian.divergence(labels, q, floor)
+    return {
+        "mean": float(kl.mean()),
+        "median": float(np.median(kl)),
+        "ci95": mean_ci95(kl, draws) if len(kl) >= FEWEST else None,
+        "mean_floor0": float(gaussian.divergence(labels, q, 0.0).mean()),
+        "axis_error_deg": float(np.rad2deg(gaussian.axis_error(gaussian.with_floor(labels, floor), q))),
+    }

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.covariances.numbers import GOLD
 from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, heading, interval
 
 _SIZES = ("area_km2", "submaps", "sigma_z")
-COVERAGES = tuple(f"coverage_{round(100 * share)}" for share in metrics.COVERAGES)
+COVERAGES = tuple(f"coverage_{round(100 * share)}" for share in gaussian.COVERAGES)
 
 
 def table_1(datasets: Numbers) -> list[Block]:

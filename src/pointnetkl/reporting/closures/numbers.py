@@ -9,7 +9,8 @@ import pandas as pd
 import pyarrow as pa
 from scipy import linalg, stats
 
-from pointnetkl.registration.covariance import metrics, table
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.reporting import intervals
 from pointnetkl.reporting.covariances.numbers import GOLD
 from pointnetkl.reporting.results import Folders, Labels, Test
 from pointnetkl.workflow import artifacts
@@ -78,10 +79,10 @@ def read(folders: Folders, name: str, labels: Labels, test: Test) -> Closures:
 def calibrations(every: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
     """Return by survey and method how well the covariances describe the errors of all draws' registrations.
 
-    nees and coverages as metrics.calibration; nees_median, which heavy tails leave alone: the median of e^T Q^-1 e over
-    that of a chi-squared, 1 is right. `placed_*`: the same of registrations with every submap where it truly lies.
-    inflation: the factor, added_m2: the variance added in x and y, with which Q's 95 % ellipses hold 95 %; and the
-    coverage here with what was so found on the other test surveys.
+    nees and coverages are as gaussian.calibration returns them; nees_median, which heavy tails leave alone, is the
+    median of e^T Q^-1 e over that of a chi-squared: 1 is right. `placed_*`: the same of registrations with every submap
+    where it truly lies. inflation: the factor, added_m2: the variance added in x and y, with which Q's 95 % ellipses
+    hold 95 %; and the coverage here with what was so found on the other test surveys.
     """
     return {name: dict(_by_method(name, every)) for name in every}
 
@@ -148,7 +149,7 @@ def _dependence(found: pd.DataFrame) -> dict[str, Any]:
 
 
 def _rank_correlation(a: pd.Series, b: pd.Series) -> float | None:
-    if len(a) < metrics.FEWEST or a.nunique() < 2 or b.nunique() < 2:
+    if len(a) < intervals.FEWEST or a.nunique() < 2 or b.nunique() < 2:
         return None
     return float(stats.spearmanr(a, b).statistic)
 
@@ -173,7 +174,7 @@ def _told(errors: np.ndarray, q: np.ndarray) -> dict[str, float]:
     if not len(errors):
         return {}
     middle = float(np.median(_squared(errors, q)) / stats.chi2.ppf(0.5, errors.shape[1]))
-    return {**metrics.calibration(errors[:, None], q), "nees_median": middle, "inflation": _inflation(errors, q)}
+    return {**gaussian.calibration(errors[:, None], q), "nees_median": middle, "inflation": _inflation(errors, q)}
 
 
 def _widened(errors: np.ndarray, q: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
@@ -212,7 +213,7 @@ def _inside(errors: np.ndarray, q: np.ndarray) -> float:
 
 
 def _squared(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
-    return metrics.squared_mahalanobis(errors[:, None], q)[:, 0]
+    return gaussian.squared_mahalanobis(errors[:, None], q)[:, 0]
 
 
 def _rms(errors: np.ndarray) -> float | None:

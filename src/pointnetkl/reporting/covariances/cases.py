@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting.covariances.ellipse_plots import Case
 from pointnetkl.reporting.drawing import relief
 from pointnetkl.reporting.results import Labels, Test
@@ -26,7 +26,7 @@ class Survey:
     def kl(self) -> dict[str, np.ndarray]:
         """The divergence of each submap's label from each method's Q, (k,) nats by method."""
         found = self.test.covariances.items()
-        return {method: metrics.divergence(self.labels.q, q, self.floor_m2) for method, q in found}
+        return {method: gaussian.divergence(self.labels.q, q, self.floor_m2) for method, q in found}
 
     def case(self, index: int, methods: Iterable[str]) -> Case:
         """Return what to draw of the submap at a place in the survey's order, with the methods that are there."""

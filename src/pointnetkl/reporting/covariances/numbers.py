@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration.covariance import metrics, table
-from pointnetkl.reporting import terrain, text_table
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.reporting import intervals, terrain, text_table
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.results import Labels, Test
 from pointnetkl.slam.graph import footprint
@@ -98,12 +98,12 @@ def divergences(name: str, of: Judged, settings: Settings) -> dict[str, Any]:
     same draws.
     """
     floor = settings.kl_floor_m2
-    draws = metrics.resamples(len(of.labels), rng(settings, name), settings.block_submaps)
-    found = {method: metrics.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
-    if OURS in found and len(of.labels) >= metrics.FEWEST:
-        each = {method: metrics.divergence(of.labels, of.covariances[method], floor) for method in found}
+    draws = intervals.resamples(len(of.labels), rng(settings, name), settings.block_submaps)
+    found = {method: intervals.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
+    if OURS in found and len(of.labels) >= intervals.FEWEST:
+        each = {method: gaussian.divergence(of.labels, of.covariances[method], floor) for method in found}
         for method in found.keys() - {OURS}:
-            found[method]["network_better"] = metrics.share_better(each[OURS], each[method], draws)
+            found[method]["network_better"] = intervals.share_better(each[OURS], each[method], draws)
     return found
 
 
@@ -112,7 +112,7 @@ def calibrations(of: Judged) -> dict[str, Any]:
     if of.held_out.size == 0:
         return {}
     every = {GOLD: of.labels, **of.covariances}
-    return {method: metrics.calibration(of.held_out, q) for method, q in every.items()}
+    return {method: gaussian.calibration(of.held_out, q) for method, q in every.items()}
 
 
 def by_class(
@@ -187,8 +187,8 @@ def _rivals(of: Judged) -> dict[str, np.ndarray]:
 def _means(labels: np.ndarray, covariances: Mapping[str, np.ndarray], floor: float) -> dict[str, dict[str, float]]:
     return {
         method: {
-            "mean": float(metrics.divergence(labels, q, floor).mean()),
-            "mean_floor0": float(metrics.divergence(labels, q, 0.0).mean()),
+            "mean": float(gaussian.divergence(labels, q, floor).mean()),
+            "mean_floor0": float(gaussian.divergence(labels, q, 0.0).mean()),
         }
         for method, q in covariances.items()
     }

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import families, plots
 
@@ -64,7 +64,7 @@ def reliability(table: pd.DataFrame) -> Figure:
 
 
 def _inside(errors: np.ndarray, q: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-    ordered = np.sort(metrics.squared_mahalanobis(errors, q), axis=None)
+    ordered = np.sort(gaussian.squared_mahalanobis(errors, q), axis=None)
     return np.searchsorted(ordered, bounds, side="right") / len(ordered)
 
 

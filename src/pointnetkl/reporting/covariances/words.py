@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.reporting import intervals
 from pointnetkl.reporting.covariances.tables import UNSEEN
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.text_table import Block
@@ -26,8 +26,8 @@ def classes(shown: Blocks) -> Section:
             "A feature that no training submap has as a slope worth holding on to names every submap in which it has"
             f" one, whatever else is there. {unseen(terrain)}",
             "Few submaps make a rough row: look at their number first. by_class.csv has every measure, with intervals"
-            f" where a row has {metrics.FEWEST} submaps or more. monte_carlo among the copies is the label itself: what"
-            " it is off by is the sampling error of fewer runs, and what the other copy changes.",
+            f" where a row has {intervals.FEWEST} submaps or more. monte_carlo among the copies is the label itself:"
+            " what it is off by is the sampling error of fewer runs, and what the other copy changes.",
         ),
         shown["terrain"],
         notes=(

@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pointnetkl.registration.covariance import metrics
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.slam.trajectories import Tracks
+from pointnetkl.slam.graph import trajectory_error
 
 _STYLES: dict[str, dict[str, Any]] = {  # what is drawn; network widest and below, because methods hide each other
     "corrupted": {"color": "black", "linestyle": ":", "linewidth": 1.0},
@@ -46,7 +46,7 @@ def along(surveys: Mapping[str, Tracks]) -> Figure:
 def errors(tracks: Tracks, which: str, aligned: bool) -> np.ndarray:
     """Return how far each submap is from the reference in x and y, (n,) metres."""
     position, reference = tracks.positions[which], tracks.positions[tracks.reference]
-    placed = metrics.align_se2(position, reference) if aligned else position
+    placed = trajectory_error.align_se2(position, reference) if aligned else position
     return np.asarray(np.linalg.norm((placed - reference)[:, :2], axis=1))
 
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration.covariance import metrics
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.covariances.numbers import OURS, Settings, rng
 from pointnetkl.reporting.results import SLAM_ERRORS, Test
+from pointnetkl.slam.graph import trajectory_error
 
 TABLE, AUTHORS = "table", "authors"  # of slam.ROWS' variants
 # Measured over draws, and how their numbers are called: {} stands in a name of the measure's mean, or of a comparison
@@ -76,8 +76,8 @@ def _errors(rows: pd.DataFrame, name: str, method: str, settings: Settings) -> d
     solved = rows["rmse_xyz_m"].dropna().to_numpy()
     if len(solved) < 2:
         return means
-    draws = metrics.resamples(len(solved), rng(settings, name, method))
-    return {**means, "rmse_xyz_ci95_m": metrics.mean_ci95(solved, draws)}
+    draws = intervals.resamples(len(solved), rng(settings, name, method))
+    return {**means, "rmse_xyz_ci95_m": intervals.mean_ci95(solved, draws)}
 
 
 def _over_draws(every: pd.DataFrame, method: str) -> dict[str, Any]:
@@ -127,4 +127,4 @@ def _gt_error(trajectories: pd.DataFrame) -> float | None:
         which: rows.sort_values("submap")[["x_m", "y_m", "z_m"]].to_numpy()
         for which, rows in trajectories.groupby("which")
     }
-    return metrics.rmse(found["gt"], found["truth"]) if {"gt", "truth"} <= set(found) else None
+    return trajectory_error.rmse(found["gt"], found["truth"]) if {"gt", "truth"} <= set(found) else None

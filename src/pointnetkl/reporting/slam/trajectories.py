@@ -8,9 +8,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pointnetkl.registration.covariance import metrics
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import plots, sheet
+from pointnetkl.slam.graph import trajectory_error
 
 _ACROSS, _HEADING_IN = 7, 0.22
 _AS_THEY_ARE = ("truth", "gt", "navigation", "corrupted", "monte_carlo", "pointnetkl", "network")
@@ -34,7 +34,7 @@ class Tracks:
     def displacements(self, which: str) -> np.ndarray:
         """Return how far a trajectory is from the reference, (n, 2) metres, turned and moved to fit it best."""
         reference = self.positions[self.reference]
-        return np.asarray(metrics.align_se2(self.positions[which], reference) - reference)[:, :2]
+        return np.asarray(trajectory_error.align_se2(self.positions[which], reference) - reference)[:, :2]
 
     def plan(self, which: str) -> np.ndarray:
         """Return a trajectory seen from above, (n, 2) metres."""

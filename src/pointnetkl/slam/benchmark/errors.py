@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pointnetkl.registration.covariance import metrics
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.slam.graph import trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 
@@ -30,7 +31,7 @@ def relative_error(edges: Edges, poses: np.ndarray, reference: np.ndarray) -> fl
     if len(edges.source) == 0:
         return float("nan")
     seen, due = (np.linalg.inv(T[edges.target]) @ T[edges.source] for T in (poses, reference))
-    return metrics.rmse(seen[:, :2, 3], due[:, :2, 3])
+    return trajectory_error.rmse(seen[:, :2, 3], due[:, :2, 3])
 
 
 def pose_nees(covariances: np.ndarray, poses: np.ndarray, reference: np.ndarray) -> float:
@@ -41,11 +42,11 @@ def pose_nees(covariances: np.ndarray, poses: np.ndarray, reference: np.ndarray)
     """
     due = poses[0] @ np.linalg.inv(reference[0]) @ reference
     off = (poses - due)[1:, None, :2, 3]
-    return float(np.median(metrics.squared_mahalanobis(off, covariances[1:])) / _CHI2_2_MEDIAN)
+    return float(np.median(gaussian.squared_mahalanobis(off, covariances[1:])) / _CHI2_2_MEDIAN)
 
 
 def _rmse(prefix: str, poses: np.ndarray, reference: np.ndarray) -> Iterator[tuple[str, float]]:
     position, goal = poses[:, :3, 3], reference[:, :3, 3]
-    yield f"{prefix}rmse_xyz_m", metrics.rmse(position, goal)
-    yield f"{prefix}rmse_se2_m", metrics.rmse(metrics.align_se2(position, goal), goal)
-    yield f"{prefix}rmse_4dof_m", metrics.rmse(metrics.align_4dof(position, goal), goal)
+    yield f"{prefix}rmse_xyz_m", trajectory_error.rmse(position, goal)
+    yield f"{prefix}rmse_se2_m", trajectory_error.rmse(trajectory_error.align_se2(position, goal), goal)
+    yield f"{prefix}rmse_4dof_m", trajectory_error.rmse(trajectory_error.align_4dof(position, goal), goal)

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pointnetkl.registration.covariance import metrics
-from pointnetkl.slam.graph import pose_graph
+from pointnetkl.slam.graph import pose_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
 from pointnetkl.surveys import pose
 from pointnetkl.workflow.errors import PointNetKLError
@@ -137,7 +136,7 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
     closures = graph.closures
 
     def error(a: np.ndarray, b: np.ndarray) -> float | None:
-        return None if np.isnan(b).any() else metrics.rmse(a[:, :3, 3], b[:, :3, 3])
+        return None if np.isnan(b).any() else trajectory_error.rmse(a[:, :3, 3], b[:, :3, 3])
 
     return {
         "submaps": len(graph.number),

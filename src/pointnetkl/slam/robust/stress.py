@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration.covariance import metrics
 from pointnetkl.slam.benchmark import errors as slam_errors
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.graph import gtsam_search, pose_graph, survey_graph
+from pointnetkl.slam.graph import gtsam_search, pose_graph, survey_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.slam.robust import estimators, false_closures, tables
@@ -157,8 +156,8 @@ def _judged(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | 
     position, accepted = solution.poses[:, :3, 3], solution.weights > estimators.ACCEPTED
     return {
         **closures,
-        "rmse_xyz_m": metrics.rmse(position, graph.gt[:, :3, 3]),
-        "truth_rmse_xyz_m": metrics.rmse(position, graph.truth[:, :3, 3]),
+        "rmse_xyz_m": trajectory_error.rmse(position, graph.gt[:, :3, 3]),
+        "truth_rmse_xyz_m": trajectory_error.rmse(position, graph.truth[:, :3, 3]),
         "truth_relative_m": slam_errors.relative_error(true, solution.poses, graph.truth),
         "accepted_true": float(accepted[:count].sum()),
         "accepted_false": float(accepted[count:].sum()),
