@@ -60,6 +60,7 @@ def write(root: Path) -> None:
 def _parameters() -> dict[str, object]:
     lines = {
         name: {
+            "group": "train" if name in TRAIN else "test",
             "raw": f"data/raw/{name}",
             "truth": "data/none",
             "submap_length_m": 60,

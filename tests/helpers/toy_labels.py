@@ -38,7 +38,14 @@ def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 10
     artifacts.write_table(
         folder / "submaps.parquet", submap.to_table(one(i, points) for i in range(submaps)), submap.POINTS, {}
     )
-    line = {"raw": "none", "truth": "none", "submap_length_m": 100, "point_spacing_m": 5, "label_runs": runs}
+    line = {
+        "group": "train",
+        "raw": "none",
+        "truth": "none",
+        "submap_length_m": 100,
+        "point_spacing_m": 5,
+        "label_runs": runs,
+    }
     params = {
         "label": parameters.as_metadata(SETTINGS),
         "registration": parameters.as_metadata(REGISTRATION),

@@ -221,7 +221,7 @@ def segment_stage(folder: Path, name: str = "small") -> subprocess.CompletedProc
 def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path, small: Whole):
     artifacts.write_table(tmp_path / "pings.parquet", small.pings, survey.PINGS, {})
     artifacts.write_table(tmp_path / "soundings.parquet", small.soundings, survey.SOUNDINGS, {})
-    line = "{raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
     params = f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{surveys: {{small: {line}}}}}\n"
     (tmp_path / "params.yaml").write_text(params)
     done = segment_stage(tmp_path)

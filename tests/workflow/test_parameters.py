@@ -133,7 +133,7 @@ def test_a_file_that_is_no_parameter_file_is_one_sentence(tmp_path: Path):
         (voxel.Settings, {"seed": 0, "voxel": 0}, "params.yaml: s.voxel is 0, must be between 0.0001 and 1"),
         (
             study.StudySurvey,
-            {"raw": "a", "truth": "b", "submap_length_m": 5, "point_spacing_m": 3, "label_runs": 1},
+            {"group": "test", "raw": "a", "truth": "b", "submap_length_m": 5, "point_spacing_m": 3, "label_runs": 1},
             "params.yaml: s.submap_length_m is 5, must be at least twice point_spacing_m",
         ),
     ],
@@ -162,9 +162,18 @@ def test_metadata_holds_what_was_read():
 
 
 def test_a_study_that_tests_on_what_it_trained_on_is_refused(tmp_path: Path):
-    line = "{raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    line = "{group: %s, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
     path = tmp_path / "params.yaml"
     for train, test in (("x", "x"), ("x", "y")):  # the same name; other names for the same raw files
-        path.write_text(f"study:\n  train: {{{train}: {line}}}\n  test: {{{test}: {line}}}\n  surveys: {{}}\n")
-        with pytest.raises(parameters.SettingsError, match="train"):
+        lines = f"  train: {{{train}: {line % 'train'}}}\n  test: {{{test}: {line % 'test'}}}"
+        path.write_text(f"study:\n{lines}\n  surveys: {{}}\n")
+        with pytest.raises(parameters.SettingsError, match="which train has|of a training survey"):
             study.read(path)
+
+
+def test_a_survey_whose_line_names_the_other_group_is_refused(tmp_path: Path):
+    line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    path = tmp_path / "params.yaml"
+    path.write_text(f"study:\n  train: {{}}\n  test: {{x: {line}}}\n  surveys: {{}}\n")
+    with pytest.raises(parameters.SettingsError, match="test.x.group is 'train', must be test"):
+        study.read(path)

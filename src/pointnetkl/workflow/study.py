@@ -17,6 +17,7 @@ class StudySurvey:
         ValueError: a length or a count is not positive.
     """
 
+    group: str  # train or test: the list that its line stands in; its products are in data/<group>/<survey>
     raw: str  # file or folder of raw pings
     truth: str  # its true trajectory; data/none where it is not known
     submap_length_m: float
@@ -50,10 +51,17 @@ class Study:
         """Refuse a study that would test on what it trained on, or that lacks a model.
 
         Raises:
-            ValueError: a survey, or its raw files, are in both groups; a model is missing or stands twice.
+            ValueError: a survey, or its raw files, are in both groups, or its line names the other one; a model is
+                missing or stands twice.
         """
         if not set(_PREDICTING) <= set(self.models) or len(set(self.models)) < len(self.models):
             raise ValueError(f"models is {self.models}, must name {' and '.join(_PREDICTING)}, and each model once")
+        for group, lines in (("train", self.train), ("test", self.test)):
+            if astray := [name for name, line in lines.items() if line.group != group]:
+                line = lines[astray[0]]
+                raise ValueError(
+                    f"{group}.{astray[0]}.group is {line.group!r}, must be {group}, the list that it stands in"
+                )
         if both := sorted(set(self.train) & set(self.test)):
             raise ValueError(f"test has {both[0]}, which train has too; name it in one of them")
         trained = {line.raw for line in self.train.values()}
