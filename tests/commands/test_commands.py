@@ -9,7 +9,6 @@ from test_estimator import written
 from test_graph_solver import meshed
 
 import toy_survey
-from conftest import REALDATA
 from pointnetkl import __main__ as command
 from pointnetkl.commands import NAMES
 from pointnetkl.exchange import g2o, posed_submaps, tum
@@ -22,6 +21,7 @@ from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.surveys import pose, quaternion, submap
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow import parameters as parameters
+from realdata import REALDATA
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 Q = np.array([[0.04, 0.03], [0.03, 0.09]])

@@ -97,3 +97,12 @@ def survey(pings: int = 12, order: str = "<", begin: float = BEGIN, seabed: floa
         parts.append(xyz88(at, seabed - ACROSS / 8, order=order))
         parts.append(datagram("Y", bytes(40), at, order))
     return b"".join(parts)
+
+
+def starts(content: bytes, kind: str, order: str = "<") -> list[int]:
+    """Return the byte at which each datagram of a type begins."""
+    at, found = 0, []
+    while at < len(content):
+        found += [at] if content[at + 5] == ord(kind) else []
+        at += 4 + struct.unpack_from(order + "I", content, at)[0]
+    return found

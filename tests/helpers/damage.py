@@ -32,6 +32,19 @@ def mutated(content: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
+def corrupted(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return bytes with some flipped, and sometimes cut off or cut out."""
+    changed = bytearray(content)
+    for at in rng.integers(0, len(changed), rng.integers(1, 10)):
+        changed[at] = rng.integers(0, 256) if rng.random() < 0.7 else rng.choice([0, 127, 128, 255])
+    if rng.random() < 0.3:
+        del changed[int(rng.integers(1, len(changed))) :]
+    if rng.random() < 0.2:
+        at = int(rng.integers(0, len(changed)))
+        del changed[at : at + int(rng.integers(1, 60))]
+    return bytes(changed)
+
+
 def outcome(path: Path) -> str:
     """Read a file of any kind; return TOLD, REFUSED or READ.
 

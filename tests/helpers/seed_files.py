@@ -9,21 +9,21 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import test_depth_grid
-import test_readers_las
-import test_readers_pcd
-import test_readers_sbet
-from test_readers import parquet, rows
 
 import all_files
 import damage
+import grid_files
 import gsf_files
 import kmall_files
+import las_files
+import pcd_files
+import sbet_files
 import xtf_files
-from conftest import REALDATA
+from generic_files import parquet, rows
 from pointnetkl.readers import sbet
 from pointnetkl.simulation import depth_grid
 from pointnetkl.workflow.errors import PointNetKLError
+from realdata import REALDATA
 
 _REAL_BYTES = 60_000  # of a real file: enough for every kind of record
 
@@ -129,7 +129,7 @@ def _beams_28(time_s: float, travel_s: np.ndarray, angle: np.ndarray) -> bytes:
 
 
 def _las(suffix: str) -> list[bytes]:
-    return [_written(suffix, lambda path, kind=kind: test_readers_las.written(path, 60, kind)) for kind in (1, 6, 7)]
+    return [_written(suffix, lambda path, kind=kind: las_files.write(path, 60, kind)) for kind in (1, 6, 7)]
 
 
 def _xyz() -> list[bytes]:
@@ -142,12 +142,12 @@ def _xyz() -> list[bytes]:
 
 
 def _pcd() -> list[bytes]:
-    forms = test_readers_pcd.FORMS
-    return [_written(".pcd", lambda path, form=form: test_readers_pcd.written(path, form)) for form in forms]
+    forms = pcd_files.FORMS
+    return [_written(".pcd", lambda path, form=form: pcd_files.write(path, form)) for form in forms]
 
 
 def _sbet() -> list[bytes]:
-    return [test_readers_sbet.records(1000.0 + np.arange(0, 3, 0.02)).tobytes()]
+    return [sbet_files.records(1000.0 + np.arange(0, 3, 0.02)).tobytes()]
 
 
 def _sbet_outcome(path: Path) -> str:
@@ -188,6 +188,6 @@ FORMATS = {
     "XYZ": Seeds(".xyz", _xyz),
     "PCD": Seeds(".pcd", _pcd, "pcd/submap_0_frame.pdc"),
     "SBET": Seeds(".sbet", _sbet, outcome=_sbet_outcome),
-    "GeoTIFF": Seeds(".tif", partial(_grid, test_depth_grid.geotiff, ".tif"), "grid/*.tif", outcome=_grid_outcome),
-    "BAG": Seeds(".bag", partial(_grid, test_depth_grid.bag, ".bag"), "grid/*.bag", outcome=_grid_outcome),
+    "GeoTIFF": Seeds(".tif", partial(_grid, grid_files.geotiff, ".tif"), "grid/*.tif", outcome=_grid_outcome),
+    "BAG": Seeds(".bag", partial(_grid, grid_files.bag, ".bag"), "grid/*.bag", outcome=_grid_outcome),
 }

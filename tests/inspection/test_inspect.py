@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from test_readers import geographic, parquet, rows
 
-from conftest import REALDATA
+from generic_files import geographic, parquet, rows
 from pointnetkl import __main__ as command
 from pointnetkl import readers
 from pointnetkl.inspection import cells, choice, tally
@@ -23,6 +22,7 @@ from pointnetkl.readers.formats import xyz
 from pointnetkl.readers.formats.recording import PING_COLUMNS, SOUNDING_COLUMNS, Recording
 from pointnetkl.readers.projection import GEOGRAPHIC
 from pointnetkl.surveys.survey import SOUNDINGS
+from realdata import REALDATA
 
 LEAST = {"file", "format", "pings", "soundings", "valid", "track_m", "depth_min_m", "depth_max_m", "skipped"}
 

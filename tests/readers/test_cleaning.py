@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_readers import parquet, rows
 
+from generic_files import parquet, rows
 from pointnetkl.readers import cleaning, formats
 from pointnetkl.readers.formats import recording
 from pointnetkl.readers.formats.recording import PING_COLUMNS, SOUNDING_COLUMNS, Recording

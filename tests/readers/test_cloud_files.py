@@ -6,9 +6,9 @@ import numpy as np
 import open3d
 import pytest
 
-from conftest import REALDATA
 from pointnetkl.readers.formats import clouds
 from pointnetkl.readers.formats.clouds import CloudFileError
+from realdata import REALDATA
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).round(4) * [40, 40, 2]
 COLOURED = np.dtype([("normal", "<f4", 3), ("x", "<f8"), ("y", "<f8"), ("rgb", "<u4"), ("z", "<f8")])

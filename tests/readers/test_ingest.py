@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_readers import parquet, rows
 
+from generic_files import parquet, rows
 from pointnetkl import readers
 from pointnetkl.surveys.survey import PINGS, SOUNDINGS, TRAJECTORY
 from pointnetkl.workflow import artifacts, parameters

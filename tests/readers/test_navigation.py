@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_readers import geographic, parquet
-from test_readers_sbet import records, written
 
 import all_files
+from generic_files import geographic, parquet
 from pointnetkl.readers.formats import interpolation
 from pointnetkl.workflow.errors import PointNetKLError
+from sbet_files import records, write
 from whole_survey import SETTINGS, Whole, read
 
 WEEK_S, EPOCH_S, LEAP_S = 604_800.0, 315_964_800.0, 18.0
@@ -24,7 +24,7 @@ def sbet(folder: Path, begin: float, seconds: float, clock_s: float = LEAP_S, na
     table = records((time + clock_s - EPOCH_S) % WEEK_S)
     table[:, 1], table[:, 2] = np.deg2rad(10.001), np.deg2rad(5.0 + 2e-5 * (time - begin))
     table[:, 9], table[:, 10] = np.deg2rad(80.0), 0.0
-    return written(folder / name, table)
+    return write(folder / name, table)
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_two_files_of_navigation_that_disagree_are_refused_and_a_copy_does_no_ha
     pd.testing.assert_frame_equal(read(survey).pings, better.pings)
     table = np.frombuffer(path.read_bytes(), "<f8").reshape(-1, 17).copy()
     table[:, 1] += 20 / 6.4e6
-    written(survey / "copy.sbet", table)
+    write(survey / "copy.sbet", table)
     with pytest.raises(PointNetKLError, match=r"post.sbet: is 20 m away from .*copy.sbet at the same times"):
         read(survey)
 
@@ -130,8 +130,8 @@ def test_each_ping_takes_the_file_that_reaches_it(survey: Path):
     sbet(survey, all_files.BEGIN - 1, 15)
     whole = read(survey)
     table = np.fromfile(survey / "post.sbet", "<f8").reshape(-1, 17)
-    written(survey / "post.sbet", table[:140])
-    written(survey / "post_2.sbet", table[140:])
+    write(survey / "post.sbet", table[:140])
+    write(survey / "post_2.sbet", table[140:])
     pd.testing.assert_frame_equal(read(survey).pings, whole.pings, atol=0.2)
 
 

@@ -8,37 +8,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from pyproj import Geod, Transformer
 
+from damage import corrupted
+from generic_files import geographic, parquet, rows
 from pointnetkl.readers.formats.recording import IMPOSSIBLE
 from pointnetkl.surveys.survey import PINGS, SOUNDINGS, track_length
 from pointnetkl.workflow.errors import PointNetKLError
 from whole_survey import SETTINGS, Whole
 from whole_survey import read as read_whole
-
-
-def rows(pings: int = 4, beams: int = 5, heading: float = 0.0, **columns: Any) -> pd.DataFrame:
-    """Return generic pings of a vehicle 20 m deep, 10 m apart along its heading from (500 000, 6 000 000)."""
-    ping, beam = np.repeat(np.arange(pings), beams), np.tile(np.arange(beams), pings)
-    table = pd.DataFrame({"time_s": 1.5e9 + 5.0 * ping, "depth_m": 20.0, "heading_rad": heading, "beam": beam})
-    table = table.assign(x_m=5e5 + 10.0 * ping * np.sin(heading), y_m=6e6 + 10.0 * ping * np.cos(heading))
-    table = table.assign(along_m=0.5, across_m=10.0 * (beam - beams // 2), down_m=30.0 + beam, roll_rad=0.01)
-    return table.assign(pitch_rad=0.02, quality=0, **columns)
-
-
-def geographic(longitude: float, latitude: float, **columns: Any) -> pd.DataFrame:
-    """Return generic pings in longitude and latitude, all at one place."""
-    return rows(**columns).drop(columns=["x_m", "y_m"]).assign(longitude_deg=longitude, latitude_deg=latitude)
-
-
-def parquet(path: Path, table: pd.DataFrame, crs: str | None = "EPSG:32633") -> Path:
-    """Write generic pings as Parquet."""
-    content = pa.Table.from_pandas(table, preserve_index=False)
-    pq.write_table(content.replace_schema_metadata({"crs": crs} if crs else {}), path)
-    return path
 
 
 def read(path: Path, table: pd.DataFrame, **how: Any) -> Whole:
@@ -329,20 +308,7 @@ def test_mutated_tables_end_in_a_sentence_or_in_finite_soundings(tmp_path: Path)
     for name in ("a.parquet", "a.csv"):
         content = (tmp_path / name).read_bytes()
         for _ in range(60):
-            outcome_of(tmp_path / f"mutated{name[1:]}", mutated(content, rng))
-
-
-def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return bytes with some flipped, and sometimes cut off or cut out."""
-    changed = bytearray(content)
-    for at in rng.integers(0, len(changed), rng.integers(1, 10)):
-        changed[at] = rng.integers(0, 256) if rng.random() < 0.7 else rng.choice([0, 127, 128, 255])
-    if rng.random() < 0.3:
-        del changed[int(rng.integers(1, len(changed))) :]
-    if rng.random() < 0.2:
-        at = int(rng.integers(0, len(changed)))
-        del changed[at : at + int(rng.integers(1, 60))]
-    return bytes(changed)
+            outcome_of(tmp_path / f"mutated{name[1:]}", corrupted(content, rng))
 
 
 def outcome_of(path: Path, content: bytes) -> str:

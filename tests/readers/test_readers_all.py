@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 
 import all_files
-from all_files import ACROSS, BEGIN, attitude, datagram, depths, position, xyz88
-from conftest import REALDATA
+from all_files import ACROSS, BEGIN, attitude, datagram, depths, position, starts, xyz88
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import kongsberg_all
 from pointnetkl.readers.formats.kongsberg_all import KongsbergError
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, PART, REJECTED, Recording
+from realdata import REALDATA
 
 ALL = REALDATA / "all"
 real = pytest.mark.skipif(not ALL.exists(), reason="no real data here")
@@ -46,15 +46,6 @@ def depth(recording: Recording) -> np.ndarray:
     """Return the depths of the good soundings below the water line, metres."""
     soundings = good(recording)
     return np.asarray(soundings["down_m"] + recording.pings["depth_m"].to_numpy()[soundings["ping"]])
-
-
-def starts(content: bytes, kind: str, order: str = "<") -> list[int]:
-    """Return the byte at which each datagram of a type begins."""
-    at, found = 0, []
-    while at < len(content):
-        found += [at] if content[at + 5] == ord(kind) else []
-        at += 4 + struct.unpack_from(order + "I", content, at)[0]
-    return found
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

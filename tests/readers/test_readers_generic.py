@@ -8,8 +8,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from test_readers import rows
 
+from generic_files import rows
 from pointnetkl.readers.formats import generic
 from pointnetkl.readers.formats.generic import GenericError
 from pointnetkl.readers.formats.recording import Recording

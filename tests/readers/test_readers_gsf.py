@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import Geod, Transformer
-from test_readers import mutated
 
 import gsf_files as made
 import whole_survey
-from conftest import REALDATA
+from damage import corrupted
 from pointnetkl.readers.formats import gsf
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, REJECTED, Recording
 from pointnetkl.surveys.survey import SurveyError, track_length
+from realdata import REALDATA
 from whole_survey import Whole
 
 GSF = REALDATA / "gsf"
@@ -297,7 +297,7 @@ def test_mutated_files_end_in_a_sentence_or_in_finite_soundings(tmp_path: Path):
     sources += [(GSF / name).read_bytes()[:30_000] for name in REAL[1:] if GSF.exists()]
     told = 0
     for number in range(400):
-        path.write_bytes(mutated(sources[number % len(sources)], rng))
+        path.write_bytes(corrupted(sources[number % len(sources)], rng))
         try:
             recording = only(path)
         except gsf.GsfError:

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 from pyproj import Geod
 
-from conftest import REALDATA
 from kmall_files import ACROSS, TIME_S, attitude, body, datagram, installation, packets, ping, soundings
 from pointnetkl.readers.formats import kmall
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, PING_COLUMNS, REJECTED, SOUNDING_COLUMNS, Recording
 from pointnetkl.readers.formats.window import Window
 from pointnetkl.surveys.survey import SurveyError
+from realdata import REALDATA
 
 FILES = sorted((REALDATA / "kmall").glob("*.kmall"))
 real = pytest.mark.skipif(not FILES, reason="no real data here")

@@ -9,36 +9,19 @@ import lazrs
 import numpy as np
 import pytest
 from pyproj import CRS
-from test_readers import mutated
 
-from conftest import REALDATA
+from damage import corrupted
+from las_files import write
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import las, recording
 from pointnetkl.readers.formats.las.header import LasError
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, POINT_COLUMNS, REJECTED, Recording
 from pointnetkl.surveys.survey import POINTS
+from realdata import REALDATA
 
 CORRIDOR = REALDATA / "laz/kimberley_corridor_1m.laz"
 RNG = np.random.default_rng(0)
 both = pytest.mark.parametrize("name", ["a.las", "a.laz"])
-
-
-def written(
-    path: Path, count: int = 300, kind: int = 6, crs: object = 32633, z: float = -50.0, **columns: object
-) -> Path:
-    """Write points about (500 000, 6 000 000) by laspy, compressed by the name's ending."""
-    header = laspy.LasHeader(point_format=kind)
-    header.scales, header.offsets = [0.01, 0.01, 0.001], [5e5, 6e6, 0]
-    if crs is not None:
-        header.add_crs(CRS.from_user_input(crs))
-    points = laspy.LasData(header)
-    rng = np.random.default_rng(count)
-    points.x, points.y = 5e5 + rng.uniform(-200, 200, count), 6e6 + rng.uniform(-200, 200, count)
-    points.z = z + rng.uniform(-2, 2, count)
-    for column, values in columns.items():
-        points[column] = values
-    points.write(str(path), do_compress=path.suffix == ".laz")
-    return path
 
 
 def read(path: Path) -> Recording:
@@ -61,7 +44,7 @@ def changed(path: Path, *patches: tuple[int, str, float]) -> Path:
 @both
 @pytest.mark.parametrize("kind", range(11))
 def test_the_points_are_those_that_were_written(tmp_path: Path, kind: int, name: str):
-    path = written(tmp_path / name, kind=kind)
+    path = write(tmp_path / name, kind=kind)
     expected = laspy.read(path)
     part = read(path)
     np.testing.assert_allclose(part.soundings[["east", "north", "up_m"]], expected.xyz, rtol=0, atol=1e-9)
@@ -87,19 +70,19 @@ def test_the_real_corridor_has_its_points_and_its_crs():
 def test_noise_withheld_points_and_the_water_surface_are_no_seabed(tmp_path: Path, kind: int, name: str):
     classes = [0, 2, 7, 18, 9, 1] + ([40, 41, 42, 45] if kind else [])
     withheld = np.arange(len(classes)) == 5
-    path = written(tmp_path / name, len(classes), kind, classification=classes, withheld=withheld)
+    path = write(tmp_path / name, len(classes), kind, classification=classes, withheld=withheld)
     expected = [0, 0, REJECTED, REJECTED, 0, REJECTED] + ([0, REJECTED, REJECTED, IMPOSSIBLE] if kind else [])
     assert list(read(path).soundings["quality"]) == expected
 
 
 def test_heights_above_zero_are_depths_unless_a_vertical_crs_says_otherwise(tmp_path: Path):
-    part = read(written(tmp_path / "a.las", z=50.0))
+    part = read(write(tmp_path / "a.las", z=50.0))
     assert part.soundings["up_m"].max() < -40
     assert "taken as depth" in part.vertical
-    named = read(written(tmp_path / "b.las", z=50.0, crs="EPSG:32633+5703"))
+    named = read(write(tmp_path / "b.las", z=50.0, crs="EPSG:32633+5703"))
     assert named.soundings["up_m"].min() > 40
     assert (named.crs, named.vertical) == ("EPSG:32633", "NAVD88 height")
-    deep = read(written(tmp_path / "c.las", z=50.0, crs="EPSG:32633+5831"))
+    deep = read(write(tmp_path / "c.las", z=50.0, crs="EPSG:32633+5831"))
     assert deep.soundings["up_m"].max() < -40
     assert "depth" in deep.vertical
 
@@ -136,7 +119,7 @@ def test_the_vertical_key_says_which_way_heights_count_and_in_which_unit(
 
 
 def test_heights_of_a_crs_of_three_axes_are_up(tmp_path: Path):
-    path = written(tmp_path / "a.las", crs=CRS.from_epsg(32633).to_3d(), z=50.0)
+    path = write(tmp_path / "a.las", crs=CRS.from_epsg(32633).to_3d(), z=50.0)
     part = read(path)
     assert (part.crs, part.soundings["up_m"].min() > 40) == ("EPSG:32633", True)
     assert part.vertical == "height above the ellipsoid of WGS 84 / UTM zone 33N"
@@ -157,17 +140,17 @@ def test_of_what_stops_a_chunk_only_damage_is_taken_for_damage(
     def fail(*arguments: object) -> None:
         raise raised
 
-    path = written(tmp_path / "a.laz")
+    path = write(tmp_path / "a.laz")
     monkeypatch.setattr(lazrs, "LasZipDecompressor", fail)
     with pytest.raises(raised if passes else LasError):
         read(path)
 
 
 def test_heights_in_feet_are_brought_to_metres_and_maps_in_feet_are_refused(tmp_path: Path):
-    part = read(written(tmp_path / "a.las", crs="EPSG:32633+8228"))  # NAVD88 height (ft)
+    part = read(write(tmp_path / "a.las", crs="EPSG:32633+8228"))  # NAVD88 height (ft)
     assert part.soundings["up_m"].median() == pytest.approx(-50 * 0.3048, abs=0.2)
     with pytest.raises(LasError, match="is in US survey foot, must be in metres"):
-        read(written(tmp_path / "b.las", crs=2227))
+        read(write(tmp_path / "b.las", crs=2227))
 
 
 def test_a_file_may_be_in_degrees_or_say_nothing_of_its_place(tmp_path: Path):
@@ -181,12 +164,12 @@ def test_a_file_may_be_in_degrees_or_say_nothing_of_its_place(tmp_path: Path):
     assert part.crs == projection.GEOGRAPHIC
     np.testing.assert_allclose(part.soundings["east"], [10.5, -159.75], atol=1e-6)
     assert part.skipped == {"soundings without a position on the earth": 1}
-    assert read(written(tmp_path / "b.las", crs=None)).crs == projection.LOCAL
+    assert read(write(tmp_path / "b.las", crs=None)).crs == projection.LOCAL
 
 
 @pytest.mark.parametrize("kind", [1, 7])
 def test_a_damaged_chunk_costs_no_other(tmp_path: Path, kind: int):
-    path = written(tmp_path / "a.laz", 120_000, kind)
+    path = write(tmp_path / "a.laz", 120_000, kind)
     content = bytearray(path.read_bytes())
     at = struct.unpack_from("<I", content, 96)[0] + 8 + 100 + (len(content) // 2 if kind == 1 else 0)
     content[at : at + 40] = bytes(40)
@@ -199,12 +182,12 @@ def test_a_damaged_chunk_costs_no_other(tmp_path: Path, kind: int):
 
 @pytest.mark.parametrize("kind", [1, 7])
 def test_a_compressed_file_that_is_cut_gives_its_whole_chunks(tmp_path: Path, kind: int):
-    path = written(tmp_path / "a.laz", 120_000, kind)
+    path = write(tmp_path / "a.laz", 120_000, kind)
     path.write_bytes(path.read_bytes()[: -path.stat().st_size // 8])
     parts = list(las.read(path))
     assert sum(len(part.soundings) for part in parts) == 100_000
     assert any("damaged or cut off" in problem for problem in parts[-1].problems)
-    expected = laspy.read(written(tmp_path / "b.laz", 120_000, kind)).xyz[:100_000]
+    expected = laspy.read(write(tmp_path / "b.laz", 120_000, kind)).xyz[:100_000]
     np.testing.assert_allclose(np.concatenate([p.soundings[["east", "north", "up_m"]] for p in parts]), expected)
 
 
@@ -229,7 +212,7 @@ def variable_chunks(path: Path, kind: int, sizes: list[int]) -> Path:
 
 @pytest.mark.parametrize("kind", [1, 7])
 def test_chunks_may_be_of_any_size(tmp_path: Path, kind: int):
-    expected = laspy.read(written(tmp_path / "a.laz", 600, kind)).xyz
+    expected = laspy.read(write(tmp_path / "a.laz", 600, kind)).xyz
     path = variable_chunks(tmp_path / "a.laz", kind, [100, 299, 1, 200])
     part = read(path)
     np.testing.assert_allclose(part.soundings[["east", "north", "up_m"]], expected, rtol=0, atol=1e-9)
@@ -244,7 +227,7 @@ def test_chunks_may_be_of_any_size(tmp_path: Path, kind: int):
 
 
 def test_a_file_that_is_cut_gives_the_points_that_it_has(tmp_path: Path):
-    path = written(tmp_path / "a.las", 1000, 1)
+    path = write(tmp_path / "a.las", 1000, 1)
     path.write_bytes(path.read_bytes()[: -28 * 100 - 5])
     part = read(path)
     assert len(part.soundings) == 899
@@ -252,23 +235,23 @@ def test_a_file_that_is_cut_gives_the_points_that_it_has(tmp_path: Path):
 
 
 def test_a_count_that_is_not_true_is_told(tmp_path: Path):
-    part = read(changed(written(tmp_path / "a.las", 100, 1), (107, "<I", 60)))
+    part = read(changed(write(tmp_path / "a.las", 100, 1), (107, "<I", 60)))
     assert len(part.soundings) == 60
     assert "its header says 60 points, and it has room for 100; 60 are read" in part.problems[0]
-    part = read(changed(written(tmp_path / "a.las", 100, 1), (107, "<I", 4_000_000_000)))
+    part = read(changed(write(tmp_path / "a.las", 100, 1), (107, "<I", 4_000_000_000)))
     assert (len(part.soundings), part.skipped) == (100, {"points cut off": 3_999_999_900})
-    part = read(changed(written(tmp_path / "a.las", 100, 1), (107, "<I", 0)))
+    part = read(changed(write(tmp_path / "a.las", 100, 1), (107, "<I", 0)))
     assert len(part.soundings) == 100
     assert "its header says 0 points, and it has room for 100; 100 are read" in part.problems[0]
 
 
 def test_points_beyond_the_stated_bounds_are_impossible_unless_most_are(tmp_path: Path):
-    path = written(tmp_path / "a.las", 100, 1)
+    path = write(tmp_path / "a.las", 100, 1)
     first = struct.unpack_from("<I", path.read_bytes(), 96)[0]
     part = read(changed(path, (first, "<i", 2_000_000_000)))
     assert list(part.soundings["quality"]) == [IMPOSSIBLE] + 99 * [0]
     assert "1 of 100 points lie beyond the bounds" in part.problems[0]
-    part = read(changed(written(path, 100, 1), (131, "<d", 10.0)))
+    part = read(changed(write(path, 100, 1), (131, "<d", 10.0)))
     assert (part.soundings["quality"] == 0).all()
     assert "bounds, scales or offsets of its header are wrong" in part.problems[0]
 
@@ -286,13 +269,13 @@ def test_points_beyond_the_stated_bounds_are_impossible_unless_most_are(tmp_path
 )
 def test_a_head_that_contradicts_itself_is_refused_in_a_sentence(tmp_path: Path, patch: tuple, told: str):
     with pytest.raises(LasError, match=told) as caught:
-        read(changed(written(tmp_path / "a.las"), patch))
+        read(changed(write(tmp_path / "a.las"), patch))
     assert str(tmp_path / "a.las") in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_counts_of_records_and_chunks_are_not_trusted(tmp_path: Path):
-    path = written(tmp_path / "a.laz", kind=1)
+    path = write(tmp_path / "a.laz", kind=1)
     content = path.read_bytes()
     first = struct.unpack_from("<I", content, 96)[0]
     table = struct.unpack_from("<q", content, first)[0]
@@ -306,7 +289,7 @@ def test_counts_of_records_and_chunks_are_not_trusted(tmp_path: Path):
 
 @both
 def test_a_file_that_ends_within_its_head_is_refused(tmp_path: Path, name: str):
-    content = written(tmp_path / name).read_bytes()
+    content = write(tmp_path / name).read_bytes()
     for size in (1, 4, 100, 210, 226, 227, 300, 375, 400):
         (tmp_path / name).write_bytes(content[:size])
         with pytest.raises(LasError, match=r"byte (0|24)"):
@@ -315,10 +298,10 @@ def test_a_file_that_ends_within_its_head_is_refused(tmp_path: Path, name: str):
 
 @both
 def test_mutated_files_end_in_a_sentence_or_in_declared_points(tmp_path: Path, name: str):
-    content = written(tmp_path / name, 100, 7 if name == "a.laz" else 1).read_bytes()
+    content = write(tmp_path / name, 100, 7 if name == "a.laz" else 1).read_bytes()
     rng = np.random.default_rng(8)
     for _ in range(300):
-        (tmp_path / name).write_bytes(mutated(content, rng))
+        (tmp_path / name).write_bytes(corrupted(content, rng))
         try:
             parts = list(las.read(tmp_path / name))
         except LasError as error:

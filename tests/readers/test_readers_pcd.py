@@ -3,31 +3,20 @@
 from pathlib import Path
 
 import numpy as np
-import open3d
 import pytest
 from scipy.spatial.transform import Rotation
-from test_readers import mutated
 
-from conftest import REALDATA
+from damage import corrupted
+from pcd_files import CLOUD, FORMS, POSE, write
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import clouds, lzf, pcd, recording
 from pointnetkl.readers.formats.pcd import PcdError
 from pointnetkl.readers.formats.recording import Recording
 from pointnetkl.surveys.survey import POINTS, SUBMAPS
+from realdata import REALDATA
 
 TOYS = sorted((REALDATA / "pcd").glob("*.pdc"))
-CLOUD = (np.random.default_rng(0).normal(size=(400, 3)).round(1) * [40, 40, 2] - [0, 0, 8]).astype(np.float32)
-POSE = "11.5 -45.25 4.625 0.96 0.0 0.28 0.0"  # x y z, qw qx qy qz: nose down, which is to be levelled
-FORMS = {"ascii": {"write_ascii": True}, "binary": {}, "compressed": {"compressed": True}}
 each_form = pytest.mark.parametrize("form", FORMS)
-
-
-def written(path: Path, form: str, pose: str = POSE) -> Path:
-    """Write the cloud by Open3D, with a pose."""
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(CLOUD))
-    open3d.io.write_point_cloud(str(path), cloud, **FORMS[form])
-    path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0 0 0 1 0 0 0", f"VIEWPOINT {pose}".encode()))
-    return path
 
 
 def placed(part: Recording) -> np.ndarray:
@@ -41,7 +30,7 @@ def placed(part: Recording) -> np.ndarray:
 
 @each_form
 def test_a_submap_is_a_ping_without_a_time_whose_points_lie_where_its_pose_has_them(tmp_path: Path, form: str):
-    (part,) = pcd.read(written(tmp_path / "a.pcd", form))
+    (part,) = pcd.read(write(tmp_path / "a.pcd", form))
     assert (part.kind, part.crs, len(part.pings)) == (SUBMAPS, projection.LOCAL, 1)
     assert list(part.pings) == list(recording.PING_COLUMNS)
     assert set(part.soundings) == set(recording.SOUNDING_COLUMNS)
@@ -64,7 +53,7 @@ def test_along_is_where_the_pose_looks_and_starboard_is_to_its_right(tmp_path: P
 
 @each_form
 def test_a_cloud_without_a_pose_is_a_surface(tmp_path: Path, form: str):
-    (part,) = pcd.read(written(tmp_path / "a.pcd", form, "0 0 0 1 0 0 0"))
+    (part,) = pcd.read(write(tmp_path / "a.pcd", form, "0 0 0 1 0 0 0"))
     assert (part.kind, len(part.pings)) == (POINTS, 0)
     np.testing.assert_allclose(part.soundings[["east", "north", "up_m"]], CLOUD, atol=1e-4)
 
@@ -82,7 +71,7 @@ def test_the_authors_toy_submaps_lie_where_their_poses_have_them(path: Path):
 @pytest.mark.parametrize("form", ["ascii", "binary"])
 @pytest.mark.parametrize("pose", [POSE, "0 0 0 1 0 0 0"])
 def test_a_file_that_is_cut_gives_the_points_that_it_has(tmp_path: Path, form: str, pose: str):
-    path = written(tmp_path / "a.pcd", form, pose)
+    path = write(tmp_path / "a.pcd", form, pose)
     path.write_bytes(path.read_bytes()[:-2000])
     (part,) = pcd.read(path)
     assert 150 < len(part.soundings) < 350
@@ -90,7 +79,7 @@ def test_a_file_that_is_cut_gives_the_points_that_it_has(tmp_path: Path, form: s
 
 
 def test_points_that_are_not_numbers_are_counted(tmp_path: Path):
-    path = written(tmp_path / "a.pcd", "ascii")
+    path = write(tmp_path / "a.pcd", "ascii")
     lines = path.read_text().splitlines()
     lines[20:23] = ["nan nan nan", "1 2", "7 8 nine"]
     path.write_text("\n".join(lines))
@@ -112,7 +101,7 @@ def test_points_that_are_not_numbers_are_counted(tmp_path: Path):
     ],
 )
 def test_a_head_that_is_not_true_is_refused_in_a_sentence(tmp_path: Path, old: str, new: str, told: str):
-    path = written(tmp_path / "a.pcd", "compressed")
+    path = write(tmp_path / "a.pcd", "compressed")
     path.write_bytes(path.read_bytes().replace(old.encode(), new.encode()))
     with pytest.raises(PcdError, match=told) as caught:
         list(pcd.read(path))
@@ -122,10 +111,10 @@ def test_a_head_that_is_not_true_is_refused_in_a_sentence(tmp_path: Path, old: s
 
 @each_form
 def test_mutated_files_end_in_a_sentence_or_in_finite_points(tmp_path: Path, form: str):
-    content = written(tmp_path / "a.pcd", form).read_bytes()
+    content = write(tmp_path / "a.pcd", form).read_bytes()
     rng = np.random.default_rng(8)
     for _ in range(150):
-        (tmp_path / "a.pcd").write_bytes(mutated(content, rng))
+        (tmp_path / "a.pcd").write_bytes(corrupted(content, rng))
         try:
             parts = list(pcd.read(tmp_path / "a.pcd"))
         except PcdError as error:

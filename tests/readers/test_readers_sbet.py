@@ -9,26 +9,10 @@ import pytest
 
 from pointnetkl.readers import sbet
 from pointnetkl.readers.formats.recording import PING_COLUMNS
+from sbet_files import records, write
 
 WEDNESDAY_S = datetime.datetime(2016, 3, 23, 18, 55, 40, tzinfo=datetime.UTC).timestamp()  # 17 leap seconds then
 OF_WEEK_S = 3 * 86400 + 18 * 3600 + 55 * 60 + 40 + 17  # the same in GPS time since Sunday
-
-
-def records(time: np.ndarray) -> np.ndarray:
-    """Return SBET records of a vessel that turns through north while it crosses the date line."""
-    table = np.zeros((len(time), 17))
-    run = np.arange(len(time)) / len(time)
-    table[:, 0], table[:, 1] = time, np.deg2rad(-20 + 0.01 * run)
-    table[:, 2] = np.deg2rad(np.mod(179.995 + 0.01 * run + 180, 360) - 180)
-    table[:, 3], table[:, 4] = 12.0, 5.0
-    table[:, 7], table[:, 8] = 0.01 * run, -0.02 * run
-    table[:, 9], table[:, 10] = np.deg2rad(np.mod(350 + 20 * run, 360) + 30), np.deg2rad(30)
-    return table
-
-
-def written(path: Path, table: np.ndarray) -> Path:
-    path.write_bytes(table.astype("<f8").tobytes())
-    return path
 
 
 def pings(time: np.ndarray) -> pd.DataFrame:
@@ -36,7 +20,7 @@ def pings(time: np.ndarray) -> pd.DataFrame:
 
 
 def test_pings_take_place_and_attitude_from_the_navigation_and_keep_their_depth(tmp_path: Path):
-    navigation = sbet.read(written(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(1000) / 100)), WEDNESDAY_S)
+    navigation = sbet.read(write(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(1000) / 100)), WEDNESDAY_S)
     np.testing.assert_allclose(navigation.time_s - WEDNESDAY_S, np.arange(500) / 50, atol=1e-6)
     placed, without = sbet.apply(pings(WEDNESDAY_S + np.array([2.5, 5.005, 7.5])), navigation)
     assert without == 0
@@ -50,7 +34,7 @@ def test_pings_take_place_and_attitude_from_the_navigation_and_keep_their_depth(
 
 def test_pings_outside_the_navigation_and_in_its_gaps_are_left_out_and_counted(tmp_path: Path):
     time = np.concatenate([np.arange(500), np.arange(900, 1400)]) / 100
-    navigation = sbet.read(written(tmp_path / "a.sbet", records(OF_WEEK_S + time)), WEDNESDAY_S)
+    navigation = sbet.read(write(tmp_path / "a.sbet", records(OF_WEEK_S + time)), WEDNESDAY_S)
     placed, without = sbet.apply(pings(WEDNESDAY_S + np.array([-60, 1, 7, 10, 3600])), navigation)
     assert (list(placed.index), without) == ([1, 3], 3)
 
@@ -60,7 +44,7 @@ def test_pings_outside_the_navigation_and_in_its_gaps_are_left_out_and_counted(t
 def test_over_a_week_s_end_times_go_on_or_begin_again(tmp_path: Path, again: bool, survey: str):
     sunday = datetime.datetime(2019, 6, 2, tzinfo=datetime.UTC).timestamp() - 18  # the week's end in UTC
     time = 604_800 + np.arange(-3000, 3000) / 100
-    path = written(tmp_path / "a.sbet", records(np.mod(time, 604_800) if again else time))
+    path = write(tmp_path / "a.sbet", records(np.mod(time, 604_800) if again else time))
     navigation = sbet.read(path, sunday + (-20 if survey == "before" else 20))
     np.testing.assert_allclose(navigation.time_s - sunday, np.arange(-1500, 1500) / 50, atol=1e-6)
     assert sbet.begins(path.read_bytes()[:4096])
@@ -68,14 +52,14 @@ def test_over_a_week_s_end_times_go_on_or_begin_again(tmp_path: Path, again: boo
 
 def test_a_file_tells_the_second_of_the_week_and_not_the_week(tmp_path: Path):
     time = 604_800 + np.arange(-200, 200) / 50
-    held = sbet.read_week(written(tmp_path / "a.sbet", records(np.mod(time, 604_800))))
+    held = sbet.read_week(write(tmp_path / "a.sbet", records(np.mod(time, 604_800))))
     np.testing.assert_allclose(held.time_s, time)
-    held = sbet.read_week(written(tmp_path / "a.sbet", records(604_800 + np.arange(100) / 50)))
+    held = sbet.read_week(write(tmp_path / "a.sbet", records(604_800 + np.arange(100) / 50)))
     np.testing.assert_allclose(held.time_s, np.arange(100) / 50, atol=1e-9)
 
 
 def test_seconds_of_the_week_may_be_utc_s(tmp_path: Path):
-    path = written(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(100) / 100))
+    path = write(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(100) / 100))
     assert sbet.read(path, WEDNESDAY_S, sbet.UTC).time_s[0] == pytest.approx(WEDNESDAY_S + 17)
     with pytest.raises(ValueError, match="clock is 'local'"):
         sbet.read(path, WEDNESDAY_S, "local")
@@ -85,12 +69,12 @@ def test_seconds_of_the_week_may_be_utc_s(tmp_path: Path):
 def test_gps_time_is_ahead_of_utc_by_the_leap_seconds_of_its_day(tmp_path: Path, year: int, month: int, leap: int):
     day = datetime.datetime(year, month, 5, 12, tzinfo=datetime.UTC)
     of_week = (day.weekday() + 1) % 7 * 86400 + 43_200
-    path = written(tmp_path / "a.sbet", records(of_week + np.arange(100) / 100))
+    path = write(tmp_path / "a.sbet", records(of_week + np.arange(100) / 100))
     assert sbet.read(path, day.timestamp()).time_s[0] == pytest.approx(day.timestamp() - leap)
 
 
 def test_a_survey_from_before_the_table_of_leap_seconds_is_refused(tmp_path: Path):
-    path = written(tmp_path / "a.sbet", records(np.arange(100) / 100))
+    path = write(tmp_path / "a.sbet", records(np.arange(100) / 100))
     with pytest.raises(sbet.SbetError, match="1997-07-14"):
         sbet.read(path, datetime.datetime(1997, 7, 14, tzinfo=datetime.UTC).timestamp())
 
@@ -113,7 +97,7 @@ def test_a_file_is_known_by_records_of_a_vehicle_that_moves_on():
 def test_damaged_records_are_left_out_and_a_cut_one_told(tmp_path: Path):
     table = records(OF_WEEK_S + np.arange(1000) / 100)
     table[10, 1], table[20, 0], table[30, 0], table[40, 7] = np.nan, 5.0, 1e300, 9.0
-    path = written(tmp_path / "a.sbet", table)
+    path = write(tmp_path / "a.sbet", table)
     path.write_bytes(path.read_bytes() + bytes(50))
     navigation = sbet.read(path, WEDNESDAY_S)
     assert navigation.skipped == 4
@@ -141,9 +125,9 @@ def test_mutated_files_end_in_a_sentence_or_in_finite_navigation(tmp_path: Path)
 
 def test_records_are_thinned_evenly_across_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sbet, "_BATCH", 37)
-    navigation = sbet.read(written(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(1000) / 200)), WEDNESDAY_S)
+    navigation = sbet.read(write(tmp_path / "a.sbet", records(OF_WEEK_S + np.arange(1000) / 200)), WEDNESDAY_S)
     np.testing.assert_allclose(navigation.time_s - WEDNESDAY_S, np.arange(250) / 50, atol=1e-6)
-    slow = sbet.read(written(tmp_path / "b.sbet", records(OF_WEEK_S + np.arange(100) / 10)), WEDNESDAY_S)
+    slow = sbet.read(write(tmp_path / "b.sbet", records(OF_WEEK_S + np.arange(100) / 10)), WEDNESDAY_S)
     assert (len(slow.time_s), slow.skipped) == (100, 0)
 
 

@@ -12,7 +12,6 @@ import pytest
 
 import damage
 import xtf_files
-from conftest import REALDATA
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import xtf
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, PING_COLUMNS, REJECTED, SOUNDING_COLUMNS, Recording
@@ -22,6 +21,7 @@ from pointnetkl.readers.formats.xtf import r2sonic, raytrace
 from pointnetkl.readers.formats.xtf import streams as xtf_streams
 from pointnetkl.readers.formats.xtf import swaths as xtf_swaths
 from pointnetkl.readers.formats.xtf.packets import FileHeader
+from realdata import REALDATA
 from xtf_files import ACROSS, BEGIN, DEGREE_M, EAST, SONAR, SPEED, Ship
 
 PIER = REALDATA / "xtf/r2sonic_pier.xtf"

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_readers import mutated, rows
 
+from damage import corrupted
+from generic_files import rows
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import generic, recording, xyz
 from pointnetkl.readers.formats.recording import POINT_COLUMNS, Recording
@@ -151,7 +152,7 @@ def test_mutated_texts_end_in_a_sentence_or_in_finite_points(tmp_path: Path, hea
     content = (head + NUMBERS.replace(" ", separator) * 10).encode()
     rng = np.random.default_rng(8)
     for _ in range(200):
-        (tmp_path / "a.xyz").write_bytes(mutated(content, rng))
+        (tmp_path / "a.xyz").write_bytes(corrupted(content, rng))
         try:
             parts = list(xyz.read(tmp_path / "a.xyz"))
         except XyzError as error:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_readers import parquet, rows
-from test_readers_all import starts
 
 import all_files
+from all_files import starts
+from generic_files import parquet, rows
 from pointnetkl import readers
 from pointnetkl.readers import formats, spool
 from pointnetkl.readers.formats import kongsberg_all, recording
@@ -43,7 +43,7 @@ def test_a_survey_is_the_same_whoever_reads_its_files(lines: Path, monkeypatch: 
 def test_parts_of_any_size_make_the_same_survey(lines: Path, monkeypatch: pytest.MonkeyPatch):
     whole = read(lines)
     for size in (1, 50, 1000):
-        for module in ("kongsberg_all", "georeference"):
+        for module in ("formats.kongsberg_all", "georeference"):
             monkeypatch.setattr(f"pointnetkl.readers.{module}.PART", size)
         again = read(lines)
         pd.testing.assert_frame_equal(again.soundings, whole.soundings)

@@ -5,13 +5,13 @@ import pytest
 
 import fake_artifacts
 import whole_survey
-from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.readers import georeference
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.surveys import tables as cleaning_tables
 from pointnetkl.reporting.surveys import words as cleaning_story
 from pointnetkl.reporting.text_table import Block
+from small_survey import sail
 
 DATASETS = {name: {"simulated": name != "mine"} for name in (*fake_artifacts.TRAIN, *fake_artifacts.TEST)}
 

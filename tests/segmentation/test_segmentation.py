@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import whole_survey
-from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.segmentation import SegmentationError, Settings, spacing, track
 from pointnetkl.segmentation.soundings import SoundingsError
 from pointnetkl.surveys import pose, survey
 from pointnetkl.surveys.submap import POINTS, POSES, from_table, to_table
 from pointnetkl.workflow import artifacts
+from small_survey import sail
 from whole_survey import Cut, Whole
 
 SPACING_M = 4.0

@@ -8,33 +8,18 @@ import pytest
 import rasterio
 import rasterio.shutil
 from rasterio.transform import from_origin
-from test_readers import mutated
 from test_simulation import chosen, craft, georeferenced, sail
 
-from conftest import REALDATA
+from damage import corrupted
+from grid_files import RAMP, bag, geotiff
 from pointnetkl import simulation
 from pointnetkl.inspection import grids
 from pointnetkl.simulation import depth_grid, grid
 from pointnetkl.simulation.depth_grid import GridError
+from realdata import REALDATA
 
 BERING, SCITUATE = (REALDATA / "grid" / name for name in ("bering_strait_2m.bag", "scituate_5m.tif"))
-RAMP = -50 - np.arange(60)[:, None] / 10 - np.arange(80) / 100
 real = pytest.mark.skipif(not BERING.exists(), reason="no real data here")
-
-
-def geotiff(path: Path, z: np.ndarray = RAMP, **how: object) -> Path:
-    """Write heights of cells of 2 m, the north-west corner at (1000, 2000)."""
-    profile = {"crs": "EPSG:32632", "transform": from_origin(1000, 2000, 2, 2), "nodata": -9999.0, "dtype": "float32"}
-    profile |= {"height": z.shape[0], "width": z.shape[1], "count": 1} | how
-    with rasterio.open(path, "w", driver="GTiff", **profile) as dataset:
-        dataset.write(z.astype(profile["dtype"]), 1)
-    return path
-
-
-def bag(path: Path, **how: object) -> Path:
-    """Write the ramp as a BAG."""
-    rasterio.shutil.copy(geotiff(path.with_suffix(".tif"), nodata=1e6, **how), path, driver="BAG")
-    return path
 
 
 @pytest.mark.parametrize("write", [geotiff, bag])
@@ -191,7 +176,7 @@ def test_mutated_grids_end_in_a_sentence_or_in_depths_of_a_sea(tmp_path: Path, w
     content = path.read_bytes()
     rng = np.random.default_rng(8)
     for _ in range(60):
-        path.write_bytes(mutated(content, rng))
+        path.write_bytes(corrupted(content, rng))
         try:
             told = depth_grid.describe(path)
         except GridError as error:

@@ -13,11 +13,11 @@ from hypothesis import settings as trials
 from hypothesis import strategies as st
 from rasterio.transform import from_origin
 
-from conftest import REALDATA
 from pointnetkl import simulation
 from pointnetkl.simulation import grid, noise, seabed, sonar, vehicle
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
+from realdata import REALDATA
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 SCITUATE = REALDATA / "grid/scituate_5m.tif"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import whole_survey
-from conftest import sail
 from pointnetkl import segmentation
 from pointnetkl.surveys import submap, voxel
 from pointnetkl.surveys.voxel import Canonical, Clouds, VoxelError
 from pointnetkl.workflow import artifacts
+from small_survey import sail
 
 ROOT = Path(__file__).parents[2]
 VOXEL = 0.05
