@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.labels import warnings
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.labels import tables as label_tables
@@ -116,6 +115,3 @@ def test_the_quality_of_labels_is_told_over_their_submaps():
     assert (row["relative_error"], row["relative_error_q95"]) == pytest.approx((0.5, 0.95))
     assert (row["bias_m"], row["bias_share"]) == pytest.approx((0.5, 0.25))
     assert (row["main_basin_share"], row["main_basin_share_q05"]) == pytest.approx((0.75, 0.525))
-    printed = "\n".join(warnings.lines("borno_8", rows, 3.0))
-    assert "registrations a label 150 (100 to 200), converged 0.9" in printed
-    assert "relative standard error 0.5 (in 95 % of the submaps below 0.95)" in printed

@@ -200,7 +200,8 @@ def segment_stage(folder: Path, kind: str, soundings: pd.DataFrame, pings: pd.Da
     pings = survey.PINGS.empty_table().to_pandas() if pings is None else pings
     artifacts.write_table(folder / "pings.parquet", pings, survey.PINGS, {"kind": kind})
     artifacts.write_table(folder / "soundings.parquet", soundings, survey.SOUNDINGS, {"kind": kind})
-    line = f"{{group: train, raw: a, truth: data/none, submap_length_m: {EDGE_M}, point_spacing_m: {SPACING_M}, label_runs: 9}}"
+    lengths = f"submap_length_m: {EDGE_M}, point_spacing_m: {SPACING_M}"
+    line = f"{{group: train, raw: a, truth: data/none, {lengths}, label_runs: 9}}"
     (folder / "params.yaml").write_text(
         f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{surveys: {{shoal: {line}}}}}\n"
     )

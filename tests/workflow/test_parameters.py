@@ -167,7 +167,7 @@ def test_a_study_that_tests_on_what_it_trained_on_is_refused(tmp_path: Path):
     for train, test in (("x", "x"), ("x", "y")):  # the same name; other names for the same raw files
         lines = f"  train: {{{train}: {line % 'train'}}}\n  test: {{{test}: {line % 'test'}}}"
         path.write_text(f"study:\n{lines}\n  surveys: {{}}\n")
-        with pytest.raises(parameters.SettingsError, match="which train has|of a training survey"):
+        with pytest.raises(parameters.SettingsError, match=r"which train has|of a training survey"):
             study.read(path)
 
 
@@ -175,5 +175,5 @@ def test_a_survey_whose_line_names_the_other_group_is_refused(tmp_path: Path):
     line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
     path = tmp_path / "params.yaml"
     path.write_text(f"study:\n  train: {{}}\n  test: {{x: {line}}}\n  surveys: {{}}\n")
-    with pytest.raises(parameters.SettingsError, match="test.x.group is 'train', must be test"):
+    with pytest.raises(parameters.SettingsError, match=r"test\.x\.group is 'train', must be test"):
         study.read(path)

@@ -10,7 +10,34 @@ from pointnetkl.registration.covariance import gaussian, table
 
 RUNS, CONDITIONS = "runs", "conditions"  # as in sensitivity, which the report need not load
 SIDES = ("smaller", "larger")
+QUALITY = (  # what `quality` returns
+    *("runs", "runs_min", "runs_max", "relative_error", "relative_error_q95", "bias_m", "bias_q95_m", "bias_share"),
+    *("converged_share", "main_basin_share", "main_basin_share_q05", "iterations"),
+)
 _FEWEST = 3  # parts of one size whose spread means something
+
+
+def quality(labels: pd.DataFrame) -> dict[str, float]:
+    """Return how sure a survey's labels are and how their registrations went, over its submaps.
+
+    A quantile is over submaps: `_q95` of relative_error is what 95 % of them are at or below. `bias` is the mean
+    error; `bias_share` the median of its square's share of the label's trace.
+    """
+    bias = np.hypot(labels["mean_x_m"], labels["mean_y_m"])
+    return {
+        "runs": float(labels["runs"].median()),
+        "runs_min": int(labels["runs"].min()),
+        "runs_max": int(labels["runs"].max()),
+        "relative_error": float(labels["relative_error"].median()),
+        "relative_error_q95": float(labels["relative_error"].quantile(0.95)),
+        "bias_m": float(bias.median()),
+        "bias_q95_m": float(bias.quantile(0.95)),
+        "bias_share": float((bias**2 / (labels["q_xx_m2"] + labels["q_yy_m2"])).median()),
+        "converged_share": float(labels["converged_share"].mean()),
+        "main_basin_share": float(labels["main_basin_share"].mean()),
+        "main_basin_share_q05": float(labels["main_basin_share"].quantile(0.05)),
+        "iterations": float(labels["iterations_mean"].mean()),
+    }
 
 
 def accuracy(rows: pd.DataFrame) -> pd.DataFrame:

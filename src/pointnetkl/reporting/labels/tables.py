@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.labels import warnings
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.text_table import Block, block
 
@@ -16,11 +15,11 @@ Numbers = Mapping[str, Any]
 def quality(labels: Mapping[str, pd.DataFrame], datasets: Numbers) -> Block:
     """Return how sure each survey's labels are and how their registrations went."""
     rows = [
-        {"survey": name, "simulated": datasets[name]["simulated"], **warnings.quality(of)}
+        {"survey": name, "simulated": datasets[name]["simulated"], **label_study.quality(of)}
         for name, of in labels.items()
     ]
     caption = "How sure the labels are: runs, relative standard error, mean error, shares of the runs."
-    return block(caption, rows, ["survey", "simulated", *warnings.QUALITY])
+    return block(caption, rows, ["survey", "simulated", *label_study.QUALITY])
 
 
 def accuracy(found: pd.DataFrame, datasets: Numbers) -> Block:
