@@ -19,7 +19,7 @@ from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.reporting import results, terrain, text_table
+from pointnetkl.reporting import report, results, terrain, text_table
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
 from pointnetkl.training import dataset, device
@@ -30,7 +30,7 @@ from pointnetkl.workflow import study as studies
 def main(arguments: argparse.Namespace) -> None:
     """Judge every survey, then leave out one class after the other."""
     params, folders = arguments.params, results.Folders(arguments.data, Path("models"), Path("reports"))
-    chosen = parameters.read(params, "report", summary.Settings)
+    chosen = parameters.read(params, "report", results.Settings)
     study = studies.read(params)
     simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
@@ -43,7 +43,7 @@ def main(arguments: argparse.Namespace) -> None:
         "by_class": {name: summary.by_class(name, of, classes[name], trained, chosen) for name, of in judged.items()},
         "submaps": {name: len(classes[name]) for name in classes},
     }
-    write(arguments.out, "metrics.json", json.dumps(summary.known(summary.published(numbers)), indent=2) + "\n")
+    write(arguments.out, "metrics.json", json.dumps(report.known_only(report.published(numbers)), indent=2) + "\n")
     write(arguments.out, "kl.csv", text_table.csv(pd.DataFrame(kl_rows(numbers))))
     write(arguments.out, "classes.csv", text_table.csv(pd.DataFrame(class_rows(numbers))))
     if arguments.network:
@@ -82,7 +82,7 @@ def kl_rows(numbers: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for name, methods in numbers["kl"].items():
         for method, kl in methods.items():
             yield {"survey": name, "method": method, **kl, **numbers["calibration"][name].get(method, {})}
-        yield {"survey": name, "method": summary.GOLD, **numbers["calibration"][name].get(summary.GOLD, {})}
+        yield {"survey": name, "method": results.GOLD, **numbers["calibration"][name].get(results.GOLD, {})}
 
 
 def class_rows(numbers: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -100,7 +100,7 @@ def left_out(
     classes: dict[str, np.ndarray],
     judged: dict[str, Judged],
     folders: results.Folders,
-    chosen: summary.Settings,
+    chosen: results.Settings,
 ) -> list[dict[str, Any]]:
     """Return mean KL on each class of `network` that was trained without it, beside one trained with all."""
     stored = model_file.read(arguments.network)

@@ -4,15 +4,14 @@ import argparse
 from pathlib import Path
 
 from pointnetkl import simulation
-from pointnetkl.reporting import report
-from pointnetkl.reporting.covariances import numbers as summary
+from pointnetkl.reporting import report, results
 from pointnetkl.reporting.results import Folders
 from pointnetkl.workflow import artifacts, command, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read every stage's artifacts, write the report, print what matters most of it."""
-    chosen = parameters.read(arguments.params, "report", summary.Settings)
+    chosen = parameters.read(arguments.params, "report", results.Settings)
     simulate = parameters.read(arguments.params, "simulate", dict[str, simulation.Settings])
     folders = Folders(arguments.data, arguments.models, arguments.reports)
     made = report.make(folders, study.read(arguments.params), simulate, chosen)

@@ -14,7 +14,6 @@ import fake_artifacts
 from pointnetkl import simulation
 from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.reporting import report, results
-from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.slam import figures as slam_figures
 from pointnetkl.slam.benchmark import tables as slam_tables
 from pointnetkl.slam.closures import graph_construction
@@ -134,7 +133,7 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports")
     params = tmp_path / "params.yaml"
     simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
-    made = report.make(folders, study.read(params), simulate, parameters.read(params, "report", summary.Settings))
+    made = report.make(folders, study.read(params), simulate, parameters.read(params, "report", results.Settings))
     numbers = json.loads(made.files["metrics.json"])
     assert numbers["slam"]["mine"] == {"dead_reckoning_edges": 0, "loop_closures": 0}
     assert numbers["kl"]["mine"]["network"]["mean"] >= 0

@@ -9,7 +9,7 @@ from pointnetkl.reporting.closures import numbers as closures
 from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.closures import words as closure_story
 from pointnetkl.reporting.closures.numbers import Closures
-from pointnetkl.reporting.covariances.numbers import GOLD
+from pointnetkl.reporting.results import GOLD
 from pointnetkl.slam.closures import tables as calibrate_tables
 
 SUBMAPS, DRAWS = 60, 60

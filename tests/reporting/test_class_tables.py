@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.reporting import terrain
+from pointnetkl.reporting import results, terrain
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
 
-SETTINGS = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
+SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DATASETS = {"a": {"simulated": True}}
 K = 30
 RNG = np.random.default_rng(0)

@@ -47,7 +47,7 @@ def make(folder: Path) -> report.Report:
         results.Folders(folder / "data", folder / "models", folder / "reports"),
         study.read(params),
         parameters.read(params, "simulate", dict[str, simulation.Settings]),
-        parameters.read(params, "report", summary.Settings),
+        parameters.read(params, "report", results.Settings),
     )
 
 
@@ -140,7 +140,7 @@ def test_the_label_itself_is_not_listed_as_close_to_the_label(numbers: dict[str,
 def test_an_interval_does_not_change_when_a_method_leaves(folders: results.Folders):
     labels = results.read_labels(folders, "borno_8")
     test = results.read_test(folders, "borno_8", labels)
-    chosen = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
+    chosen = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
     every = summary.judged(labels, test)
     only = dataclasses.replace(every, covariances={"pointnetkl": test.covariances["pointnetkl"]})
     intervals = [summary.divergences("borno_8", each, chosen)["pointnetkl"]["ci95"] for each in (every, only)]

@@ -5,12 +5,11 @@ import pandas as pd
 import pytest
 
 from pointnetkl.reporting import results, terrain
-from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.slam import numbers as slam_summary
 from pointnetkl.reporting.slam import tables as slam_tables
 from pointnetkl.reporting.slam import words as slam_story
 
-SETTINGS = summary.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
+SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DRAWS, MANY, FEW = 8, 40, 5
 DATASETS = {"toy": {"simulated": True, "track_km": 1.0}}
 

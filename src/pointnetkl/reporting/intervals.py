@@ -4,6 +4,8 @@ Values of one draw are not independent: one hundred noises on one graph share th
 interval over them would be of another noise on this graph, and not of another survey like it. So t counts draws.
 """
 
+import zlib
+
 import numpy as np
 from scipy import stats
 
@@ -17,6 +19,11 @@ _DRAWS = 2000  # of the bootstrap
 
 class IntervalError(PointNetKLError):
     """There is nothing to draw an interval from."""
+
+
+def rng(seed: int, *names: str) -> np.random.Generator:
+    """Return a generator for these names, so that an interval does not change when another method or survey joins."""
+    return np.random.default_rng([seed, *(zlib.crc32(name.encode()) for name in names)])
 
 
 def means(values: np.ndarray, draw: np.ndarray) -> np.ndarray:

@@ -18,11 +18,10 @@ from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.covariances import cases, figures
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances import tables as class_tables
-from pointnetkl.reporting.covariances.numbers import Settings
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.labels import tables as label_tables
-from pointnetkl.reporting.results import Folders, Labels, Test
+from pointnetkl.reporting.results import Folders, Labels, Settings, Test
 from pointnetkl.reporting.robustness import figures as robustness_plots
 from pointnetkl.reporting.robustness import numbers as robustness
 from pointnetkl.reporting.slam import consistency
@@ -40,6 +39,7 @@ _IN_WORDS = (
     *("cleaning", "table_4_authors", "slam_variants"),
     *("terrain", "map_thinning", "calibration_lc", "robustness", "loop_gate"),
 )
+_TABLES_ONLY = ("by_class", "by_size", "by_copy", "slam_authors", "slam_variants")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Setti
     lead = story.lead(study, numbers["datasets"], found.labels, found.tests)
     title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
     files = {
-        "metrics.json": _json(summary.known(summary.published(numbers))),
+        "metrics.json": _json(known_only(published(numbers))),
         **{f"tables/{name}": content for name, content in _table_files(shown)},
         **{f"figures/{name}.png": image for name, image in drawn.items()},
         "index.html": page.render(title, lead, text, drawn).encode(),
@@ -240,6 +240,28 @@ def _figures(
         yield name, plots.png(figure)
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):
         yield name, plots.png(figure)
+
+
+def published(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers as metrics.json has them: of the terrain classes, only what decides between methods."""
+    kept = {key: value for key, value in numbers.items() if key not in _TABLES_ONLY}
+    for kind, wanted in (("kl", ("mean",)), ("calibration", ("nees", "coverage_95"))):
+        kept[f"{kind}_by_class"] = {
+            name: {each: _short(of[kind], wanted, of["submaps"]) for each, of in classes.items()}
+            for name, classes in numbers["by_class"].items()
+        }
+    return kept
+
+
+def known_only(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested numbers rounded to 4 digits, without those that are not known."""
+    rounded = {key: text_table.rounded(value) for key, value in numbers.items()}
+    kept = {key: known_only(value) if isinstance(value, dict) else value for key, value in rounded.items()}
+    return {key: value for key, value in kept.items() if value is not None and value != {}}
+
+
+def _short(methods: Mapping[str, Any], wanted: Sequence[str], submaps: int) -> dict[str, Any]:
+    return {name: {**{key: of[key] for key in wanted}, "submaps": submaps} for name, of in methods.items()}
 
 
 def _json(content: Mapping[str, Any]) -> bytes:

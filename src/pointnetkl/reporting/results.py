@@ -13,11 +13,15 @@ import pandas as pd
 import pyarrow as pa
 
 from pointnetkl.registration.covariance import table
+from pointnetkl.reporting import terrain
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import Study
+
+GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
+OURS = "network"  # whom the others are compared with, pair by pair
 
 _COVARIANCE = [(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")]
 _WENT = [  # how a label's registrations went
@@ -65,6 +69,17 @@ _TRAINED = ("train/{}.csv", "train/{}.json")
 
 class ResultsError(PointNetKLError):
     """An artifact that the report needs is missing, or does not belong to the others."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `report` of the parameters."""
+
+    seed: int  # of the bootstrap
+    kl_floor_m2: float  # added to label and estimate wherever KL is judged
+    cell_factor: float  # a footprint's cell, in point spacings: fewer and a swath has holes
+    block_submaps: int  # neighbours that the bootstrap draws together
+    terrain_classes: terrain.Settings
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import paper
-from pointnetkl.reporting.covariances.numbers import GOLD
+from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, heading, interval
 
 _SIZES = ("area_km2", "submaps", "sigma_z")

@@ -11,8 +11,7 @@ from scipy import linalg, stats
 
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.covariances.numbers import GOLD
-from pointnetkl.reporting.results import Folders, Labels, Test
+from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
 from pointnetkl.workflow import artifacts
 
 SPLIT, PAIR = "split", "pair"  # methods that stage `calibrate` measured

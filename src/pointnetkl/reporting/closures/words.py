@@ -6,8 +6,8 @@ from typing import Any
 import pandas as pd
 
 from pointnetkl.reporting.closures.numbers import PAIR, SPLIT
-from pointnetkl.reporting.covariances.numbers import GOLD
 from pointnetkl.reporting.page import Section
+from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.text_table import Block, cell
 
 _GOAL = 0.95

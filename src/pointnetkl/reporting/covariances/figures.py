@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from pointnetkl.reporting import results
 from pointnetkl.reporting.covariances import cases, ellipse_plots, method_plots, pareto_plots, reliability_plots
-from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.drawing import maps, sheet
 from pointnetkl.reporting.labels import figures as label_plots
 from pointnetkl.reporting.labels import numbers as label_study
@@ -99,7 +98,7 @@ def worst(surveys: Sequence[cases.Survey]) -> Iterator[tuple[str, Figure]]:
     """Yield each method's page of the submaps that it is most wrong about, by the method's name."""
     methods = dict.fromkeys(method for survey in surveys for method in survey.test.covariances)
     for method in methods:
-        if method != summary.GOLD:  # the labels themselves
+        if method != results.GOLD:  # the labels themselves
             yield method, ellipse_plots.worst(method, cases.worst(surveys, method, _WORST))
 
 
@@ -107,7 +106,7 @@ def reliability(surveys: Sequence[cases.Survey]) -> Figure:
     """Draw the coverage of the main methods' ellipses on errors that no label has seen, at every level."""
     tables = [
         reliability_plots.coverage(
-            each.name, each.test.held_out, {summary.GOLD: each.labels.q, **each.test.covariances}, _RELIABLE
+            each.name, each.test.held_out, {results.GOLD: each.labels.q, **each.test.covariances}, _RELIABLE
         )
         for each in surveys
         if each.test.held_out.size

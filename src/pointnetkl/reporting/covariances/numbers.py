@@ -1,6 +1,5 @@
-"""The numbers of a report, `metrics.json`, from every stage's artifacts."""
+"""The numbers of a report, `gaussian.json`, from every stage's artifacts."""
 
-import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -10,29 +9,14 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.reporting import intervals, terrain, text_table
+from pointnetkl.reporting import intervals, terrain
 from pointnetkl.reporting.labels import numbers as label_study
-from pointnetkl.reporting.results import Labels, Test
+from pointnetkl.reporting.results import GOLD, OURS, Labels, Settings, Test
 from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose, survey, voxel
 
-GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
-OURS = "network"  # whom the others are compared with, pair by pair
 # m^2, of a label's larger eigenvalue: a position known to 0.1 m, to 1 m, or worse
 _SIZES = {"below 0.01": (0.0, 0.01), "0.01 to 1": (0.01, 1.0), "above 1": (1.0, np.inf)}
-
-_TABLES_ONLY = ("by_class", "by_size", "by_copy", "slam_authors", "slam_variants")
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Section `report` of the parameters."""
-
-    seed: int  # of the bootstrap
-    kl_floor_m2: float  # added to label and estimate wherever KL is judged
-    cell_factor: float  # a footprint's cell, in point spacings: fewer and a swath has holes
-    block_submaps: int  # neighbours that the bootstrap draws together
-    terrain_classes: terrain.Settings
 
 
 @dataclass(frozen=True)
@@ -98,7 +82,7 @@ def divergences(name: str, of: Judged, settings: Settings) -> dict[str, Any]:
     same draws.
     """
     floor = settings.kl_floor_m2
-    draws = intervals.resamples(len(of.labels), rng(settings, name), settings.block_submaps)
+    draws = intervals.resamples(len(of.labels), intervals.rng(settings.seed, name), settings.block_submaps)
     found = {method: intervals.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
     if OURS in found and len(of.labels) >= intervals.FEWEST:
         each = {method: gaussian.divergence(of.labels, of.covariances[method], floor) for method in found}
@@ -162,24 +146,6 @@ def by_copy(name: str, labels: Labels, test: Test, variations: pd.DataFrame, set
     return found
 
 
-def published(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers as metrics.json has them: of the terrain classes, only what decides between methods."""
-    kept = {key: value for key, value in numbers.items() if key not in _TABLES_ONLY}
-    for kind, wanted in (("kl", ("mean",)), ("calibration", ("nees", "coverage_95"))):
-        kept[f"{kind}_by_class"] = {
-            name: {each: _short(of[kind], wanted, of["submaps"]) for each, of in classes.items()}
-            for name, classes in numbers["by_class"].items()
-        }
-    return kept
-
-
-def known(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested numbers rounded to 4 digits, without those that are not known."""
-    rounded = {key: text_table.rounded(value) for key, value in numbers.items()}
-    kept = {key: known(value) if isinstance(value, dict) else value for key, value in rounded.items()}
-    return {key: value for key, value in kept.items() if value is not None and value != {}}
-
-
 def _rivals(of: Judged) -> dict[str, np.ndarray]:
     return {method: q for method, q in of.covariances.items() if method != GOLD}
 
@@ -192,12 +158,3 @@ def _means(labels: np.ndarray, covariances: Mapping[str, np.ndarray], floor: flo
         }
         for method, q in covariances.items()
     }
-
-
-def _short(methods: Mapping[str, Any], wanted: Sequence[str], submaps: int) -> dict[str, Any]:
-    return {name: {**{key: of[key] for key in wanted}, "submaps": submaps} for name, of in methods.items()}
-
-
-def rng(settings: Settings, *names: str) -> np.random.Generator:
-    """Return a generator for these names, so that an interval does not change when another method or survey joins."""
-    return np.random.default_rng([settings.seed, *(zlib.crc32(name.encode()) for name in names)])

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pointnetkl.reporting.covariances.numbers import GOLD
+from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.tables import COVERAGES
 from pointnetkl.reporting.text_table import Block, Numbers, block, interval
 

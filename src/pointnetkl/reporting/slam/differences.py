@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.covariances.numbers import OURS
+from pointnetkl.reporting.results import OURS
 from pointnetkl.reporting.slam.numbers import AUTHORS, TABLE, difference, shared_noises
 
 MEASURES = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # against the truth; see slam.ROWS

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from pointnetkl.reporting.covariances.numbers import OURS
 from pointnetkl.reporting.page import Section
+from pointnetkl.reporting.results import OURS
 from pointnetkl.reporting.slam.consistency import PERCENTILE
 from pointnetkl.reporting.text_table import Block, cell
 

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.covariances.numbers import OURS, Settings, rng
-from pointnetkl.reporting.results import SLAM_ERRORS, Test
+from pointnetkl.reporting.results import OURS, SLAM_ERRORS, Settings, Test
 from pointnetkl.slam.graph import trajectory_error
 
 TABLE, AUTHORS = "table", "authors"  # of slam.ROWS' variants
@@ -76,7 +75,7 @@ def _errors(rows: pd.DataFrame, name: str, method: str, settings: Settings) -> d
     solved = rows["rmse_xyz_m"].dropna().to_numpy()
     if len(solved) < 2:
         return means
-    draws = intervals.resamples(len(solved), rng(settings, name, method))
+    draws = intervals.resamples(len(solved), intervals.rng(settings.seed, name, method))
     return {**means, "rmse_xyz_ci95_m": intervals.mean_ci95(solved, draws)}
 
 
