@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_dvc_yaml import SOURCE, closure
 
+from imports import SOURCE, closure
 from pointnetkl.labels import shards
 from pointnetkl.labels.shards import ShardError
 from pointnetkl.registration import monte_carlo

@@ -1,84 +1,69 @@
 """dvc.yaml says the truth: each stage names every module and parameter it uses, and reruns only what it must."""
 
 import ast
-from collections.abc import Iterator
+import re
 from pathlib import Path
 
 import pytest
 import yaml
 
-ROOT = Path(__file__).parents[2]
-SOURCE = ROOT / "src"
+from imports import LIBRARY, ROOT, closure
+
 STAGES = {
     name: stage.get("do", stage) for name, stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items()
 }
 MODELS = yaml.safe_load((ROOT / "params.yaml").read_text())["models"]  # `${item}` is each of them
-SCRIPTS = {name: ROOT / "pipeline" / f"{name}.py" for name in STAGES if name != "gather"}
+SCRIPTS = {
+    name: ROOT / script[0]
+    for name, stage in STAGES.items()
+    if (script := re.findall(r"pipeline/\w+\.py", str(stage["cmd"])))
+}
 
 
-def imported(file: Path) -> Iterator[Path]:
-    """Yield the project's modules that a file imports, directly."""
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names] + [node.module]
-        else:
-            continue
-        for name in names:
-            yield from module_files(name)
+def library(stage: str) -> list[Path]:
+    """Return the deps of a stage that are folders or files of the library."""
+    return [ROOT / dep for dep in STAGES[stage]["deps"] if LIBRARY in (ROOT / dep).parents]
 
 
-def module_files(name: str) -> Iterator[Path]:
-    """Yield the files that importing a dotted name of this package runs, but for the package's own: it imports none."""
-    parts = name.split(".")
-    if parts[0] != "pointnetkl":
-        return
-    for depth in range(2, len(parts) + 1):
-        path = SOURCE.joinpath(*parts[:depth])
-        if path.with_suffix(".py").exists():
-            yield path.with_suffix(".py")
-        elif (path / "__init__.py").exists():
-            yield path / "__init__.py"
-
-
-def closure(script: Path) -> set[Path]:
-    """Return every module of the project that running a script imports."""
-    seen: set[Path] = set()
-    waiting = [script]
-    while waiting:
-        for module in imported(waiting.pop()):
-            if module not in seen:
-                seen.add(module)
-                waiting.append(module)
-    return {module for module in seen if holds_code(module)}
-
-
-def holds_code(module: Path) -> bool:
-    """Whether a module is more than the docstring (and the version) that makes a folder a package."""
-    return any(not isinstance(node, ast.Expr | ast.Assign) for node in ast.parse(module.read_text()).body)
+def holds(path: Path, module: Path) -> bool:
+    """Whether a module is a path, or stands in it or below it."""
+    return path == module or path in module.parents
 
 
 @pytest.mark.parametrize("stage", SCRIPTS)
-def test_a_stage_depends_on_every_module_that_it_imports(stage: str):
-    named = [ROOT / dep for dep in STAGES[stage]["deps"] if not dep.startswith(("data", "$"))]
+def test_a_stage_depends_on_its_script_and_on_every_module_that_it_imports(stage: str):
+    assert str(SCRIPTS[stage].relative_to(ROOT)) in STAGES[stage]["deps"]
     missing = {
         str(module.relative_to(ROOT))
         for module in closure(SCRIPTS[stage])
-        if not any(module == name or name in module.parents for name in named)
+        if not any(holds(path, module) for path in library(stage))
     }
-    assert not missing, f"add to the deps of {stage} in dvc.yaml: {sorted(missing)}"
+    assert not missing, f"add these, or their folders, to the deps of {stage} in dvc.yaml: {sorted(missing)}"
 
 
 @pytest.mark.parametrize("stage", SCRIPTS)
-def test_a_stage_depends_on_no_module_that_it_does_not_use(stage: str):
-    used = closure(SCRIPTS[stage]) | {SCRIPTS[stage]}
-    for dep in STAGES[stage]["deps"]:
-        path = ROOT / dep
-        if path.suffix == ".py":
-            assert path in used, f"{dep} in the deps of {stage} is not imported there"
-        elif path.is_dir() and SOURCE in path.parents:
-            assert any(path in module.parents for module in used), dep
+def test_a_stage_depends_on_no_folder_or_module_of_which_it_uses_nothing(stage: str):
+    used = closure(SCRIPTS[stage])
+    unused = [str(path.relative_to(ROOT)) for path in library(stage) if not any(holds(path, one) for one in used)]
+    assert not unused, f"take these from the deps of {stage} in dvc.yaml, it imports nothing of them: {unused}"
+
+
+@pytest.mark.parametrize("stage", SCRIPTS)
+def test_a_stage_lists_two_to_six_folders_of_the_library_and_none_twice(stage: str):
+    listed = library(stage)
+    assert 2 <= len(listed) <= 6, f"{stage} lists {len(listed)} paths of the library"
+    assert all(path.is_dir() for path in listed), "list folders: a file that moves changes dvc.yaml"
+    assert not [path for path in listed for other in listed if other in path.parents], "a folder holds another"
+
+
+def test_every_script_but_that_of_the_authors_arrays_is_a_stage():
+    scripts = {path.stem for path in (ROOT / "pipeline").glob("*.py")}
+    assert scripts - {"authors"} == {path.stem for path in SCRIPTS.values()}
+
+
+@pytest.mark.parametrize(("name", "below"), [("dvc.yaml", 500), ("dvc.lock", 3500)])
+def test_dvc_s_files_stay_short_because_dvc_reads_and_writes_them_after_every_stage(name: str, below: int):
+    assert len((ROOT / name).read_text().splitlines()) < below
 
 
 @pytest.mark.parametrize("stage", SCRIPTS)
