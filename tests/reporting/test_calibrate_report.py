@@ -1,5 +1,7 @@
 """What the report says of loop closures: right of errors drawn from Q, and nothing of surveys that close none."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -41,6 +43,11 @@ def numbers(every: dict[str, Closures]) -> dict[str, dict]:
         "closures_by_hold": {name: closures.by_hold(of) for name, of in every.items()},
         "closure_ratios": {name: closures.dependence(of) for name, of in every.items()},
     }
+
+
+def paragraphs(numbers: dict[str, dict], copies: dict[str, str]) -> Sequence[str]:
+    """Return what the page says of these numbers."""
+    return closure_story.section(closure_tables.every(numbers, DATASETS), numbers, copies).paragraphs
 
 
 @pytest.mark.parametrize("m", [2, 3])
@@ -138,7 +145,7 @@ def test_with_yaw_ratios_are_of_positions():
 
 def test_the_page_calls_q_ij_an_oracle_and_quotes_no_circular_coverage():
     surveys = {"a": one_bias(), "mine": one_bias("gt")}
-    said = closure_story.section(closure_tables.every(numbers(surveys), DATASETS), {"a": "same"}).paragraphs
+    said = paragraphs(numbers(surveys), {"a": "same"})
     assert any("an oracle" in text and "circular" in text for text in said)
     (inside,) = (text for text in said if text.startswith("Inside the ellipse"))
     known, unknown = inside.split("; ")
@@ -162,31 +169,26 @@ def test_a_survey_that_closes_no_loop_has_dashes_and_no_figure_fails():
     assert blocks[0].frame.empty
     assert blocks[1].frame.loc[0, "registrations"] == 0
     assert blocks[1].frame.loc[0, "error_m"] is None
-    paragraphs = closure_story.section({"calibration_lc": blocks}, {"mine": "same"}).paragraphs
-    assert paragraphs[-1] == "No survey here closes a loop."
+    assert paragraphs(found, {"mine": "same"})[-1] == "No survey here closes a loop."
     assert len(dict(calibration_plots.every(blocks[0].frame, every))) == 3
 
 
 def test_the_page_advises_the_copy_whose_labels_hold_as_many_errors_as_they_say():
     surveys = {"a": made(1), "b": made(2)}
-    blocks = closure_tables.every(numbers(surveys), DATASETS)
     copies = {"a": "same", "b": "same"}
-    assert "those of copy same: the paper's labels stand" in closure_story.section(blocks, copies).paragraphs[-2]
+    assert "those of copy same: the paper's labels stand" in paragraphs(numbers(surveys), copies)[-2]
     swapped = {
         name: Closures(of.rows, {**of.covariances, GOLD: of.covariances["split"], "split": of.covariances[GOLD]})
         for name, of in surveys.items()
     }
-    blocks = closure_tables.every(numbers(swapped), DATASETS)
-    assert "take label.copy: split" in closure_story.section(blocks, copies).paragraphs[-2]
-    assert not any("What follows" in said for said in closure_story.section(blocks, {"a": "split"}).paragraphs)
+    assert "take label.copy: split" in paragraphs(numbers(swapped), copies)[-2]
+    assert not any("What follows" in said for said in paragraphs(numbers(swapped), {"a": "split"}))
 
 
 def test_where_the_truth_is_not_known_no_copy_is_advised():
-    blocks = closure_tables.every(numbers({"a": made(1, truth=False)}), DATASETS)
-    said = closure_story.section(blocks, {"a": "same"}).paragraphs
+    said = paragraphs(numbers({"a": made(1, truth=False)}), {"a": "same"})
     assert not any("What follows" in text for text in said)
-    blocks = closure_tables.every(numbers({"a": made(1, truth=False), "b": made(2)}), DATASETS)
-    said = closure_story.section(blocks, {"a": "same", "b": "same"}).paragraphs
+    said = paragraphs(numbers({"a": made(1, truth=False), "b": made(2)}), {"a": "same", "b": "same"})
     assert sum("What follows" in text for text in said) == 1  # of b
     of_a, of_b = next(text for text in said if "other test surveys ask" in text).split("; b, ", 1)
     assert "without GT's errors" in of_b

@@ -13,6 +13,7 @@ from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.results import Folders
 from pointnetkl.reporting.robustness import figures as robustness_plots
 from pointnetkl.reporting.robustness import numbers as robustness
+from pointnetkl.reporting.robustness import tables as robustness_tables
 from pointnetkl.reporting.robustness import words as robustness_story
 
 DATASETS = {"borno_8": {"simulated": True}, "mine": {"simulated": False}}
@@ -46,7 +47,7 @@ def test_a_failed_run_is_counted_and_in_no_median(found: robustness.Found):
 
 def test_the_share_itself_is_of_whole_closures(found: robustness.Found):
     few = found.rows.assign(true_closures=47, false_closures=2, share=0.05)
-    table = robustness.tables(robustness.Found(few, found.gate), DATASETS)
+    table = robustness_tables.tables(robustness.Found(few, found.gate), DATASETS)
     assert set(table["robustness_shares"][0].frame["false_share"]) == {2 / 49}
 
 
@@ -70,7 +71,7 @@ def test_metrics_have_the_first_the_middle_and_the_last_share(found: robustness.
 
 
 def test_a_survey_without_closures_or_truth_has_dashes(found: robustness.Found):
-    numbers, tables = robustness.numbers(found), robustness.tables(found, DATASETS)
+    numbers, tables = robustness.numbers(found), robustness_tables.tables(found, DATASETS)
     assert numbers["loop_gate"]["mine"] == {"precision": None, "recall": None}
     assert numbers["robustness"]["mine"]["gnc"]["constant"]["recall"] is None
     mine = [line for line in text_table.markdown(tables["robustness"]).splitlines() if "| mine" in line]
@@ -80,7 +81,7 @@ def test_a_survey_without_closures_or_truth_has_dashes(found: robustness.Found):
 
 
 def test_the_page_says_which_kernels_stand_false_closures(found: robustness.Found):
-    section = robustness_story.section(robustness.tables(found, DATASETS))
+    section = robustness_story.section(robustness_tables.tables(found, DATASETS))
     advice = next(text for text in section.paragraphs if text.startswith("Use "))
     assert "cauchy" in advice.split(":")[0]
     assert "gnc" in advice.split(":")[0]
@@ -89,7 +90,7 @@ def test_the_page_says_which_kernels_stand_false_closures(found: robustness.Foun
 
 def advice(rows: pd.DataFrame, found: robustness.Found) -> str:
     """Return what the page advises of such runs."""
-    section = robustness_story.section(robustness.tables(robustness.Found(rows, found.gate), DATASETS))
+    section = robustness_story.section(robustness_tables.tables(robustness.Found(rows, found.gate), DATASETS))
     return section.paragraphs[1]
 
 
@@ -122,14 +123,14 @@ def test_a_kernel_without_a_number_does_not_stand_though_no_run_failed(found: ro
 
 
 def test_the_page_tells_what_a_start_costs_and_how_many_true_closures_stay(found: robustness.Found):
-    section = robustness_story.section(robustness.tables(found, DATASETS))
+    section = robustness_story.section(robustness_tables.tables(found, DATASETS))
     assert any("cauchy 0.9, gnc 0.9" in text for text in section.paragraphs)
     assert any("From the corrupted poses instead, with 50 %" in text for text in section.paragraphs)
 
 
 def test_the_page_of_a_survey_of_ones_own_alone_gives_no_advice(found: robustness.Found):
     mine = robustness.Found(*(table[table["survey"] == "mine"] for table in (found.rows, found.gate)))
-    section = robustness_story.section(robustness.tables(mine, DATASETS))
+    section = robustness_story.section(robustness_tables.tables(mine, DATASETS))
     assert any("nothing can be said" in text for text in section.paragraphs)
 
 

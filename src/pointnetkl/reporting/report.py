@@ -24,6 +24,7 @@ from pointnetkl.reporting.labels import tables as label_tables
 from pointnetkl.reporting.results import Folders, Labels, Settings, Test
 from pointnetkl.reporting.robustness import figures as robustness_plots
 from pointnetkl.reporting.robustness import numbers as robustness
+from pointnetkl.reporting.robustness import tables as robustness_tables
 from pointnetkl.reporting.slam import consistency
 from pointnetkl.reporting.slam import figures as slam_figures
 from pointnetkl.reporting.slam import numbers as slam_summary
@@ -76,8 +77,8 @@ def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Setti
     found = _read(folders, study, settings)
     numbers = _numbers(folders, study, simulate, found, settings)
     shown = _tables(numbers, study, found)
-    drawn = dict(_figures(folders, study, found, shown, settings))
-    text = story.sections(shown, numbers["datasets"], found.labels)
+    drawn = dict(_figures(folders, study, found, numbers, shown, settings))
+    text = story.sections(shown, numbers, found.labels)
     lead = story.lead(study, numbers["datasets"], found.labels, found.tests)
     title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
     files = {
@@ -189,7 +190,7 @@ def _tables(numbers: Mapping[str, Any], study: Study, found: _Found) -> dict[str
         "slam": [slam],
         **slam_tables.every(numbers, datasets),
         "map_thinning": [slam_tables.thinning(found.map_thinning, datasets)],
-        **robustness.tables(found.wrong, datasets),
+        **robustness_tables.tables(found.wrong, datasets),
         **closure_tables.every(numbers, datasets),
         **class_tables.every(numbers, datasets),
     }
@@ -207,7 +208,12 @@ def _table_files(shown: Mapping[str, Sequence[Block]]) -> Iterator[tuple[str, by
 
 
 def _figures(
-    folders: Folders, study: Study, found: _Found, shown: Mapping[str, Sequence[Block]], settings: Settings
+    folders: Folders,
+    study: Study,
+    found: _Found,
+    numbers: Mapping[str, Any],
+    shown: Mapping[str, Sequence[Block]],
+    settings: Settings,
 ) -> Iterator[tuple[str, bytes]]:
     rng = np.random.default_rng(settings.seed)
     eigenvalues = {name: np.linalg.eigvalsh(labels.q[:, :2, :2]) for name, labels in found.labels.items()}
@@ -236,7 +242,7 @@ def _figures(
         "consistency",
         plots.png(consistency.read_and_draw(folders, [n for n, test in found.tests.items() if test.track])),
     )
-    for name, figure in slam_figures.figures(surveys, spacing):
+    for name, figure in slam_figures.figures(surveys, spacing, numbers):
         yield name, plots.png(figure)
     for name, figure in figures.charts(kl, calibration, slam, found.runtime):
         yield name, plots.png(figure)

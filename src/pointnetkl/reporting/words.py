@@ -9,7 +9,6 @@ from pointnetkl.reporting.labels import words as label_story
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import Labels, Test
 from pointnetkl.reporting.robustness import words as robustness_story
-from pointnetkl.reporting.slam import map_words
 from pointnetkl.reporting.slam import words as slam_story
 from pointnetkl.reporting.surveys import words as cleaning_story
 from pointnetkl.reporting.text_table import Block, cell
@@ -42,8 +41,8 @@ def lead(
     ]
 
 
-def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, Labels]) -> list[Section]:
-    """Return the page's sections around the tables, by the stems of their files."""
+def sections(shown: Blocks, numbers: Mapping[str, Any], labels: Mapping[str, Labels]) -> list[Section]:
+    """Return the page's sections around the tables, by the stems of their files, and the report's numbers."""
     copies = {name: str(of.parameters["label"]["copy"]) for name, of in labels.items()}
     return [
         _surveys(shown),
@@ -53,12 +52,11 @@ def sections(shown: Blocks, datasets: Mapping[str, Any], labels: Mapping[str, La
         _training(),
         _kl(shown, copies),
         _calibration(shown),
-        closure_story.section(shown, copies),
+        closure_story.section(shown, numbers, copies),
         terrain_story.classes(shown),
-        terrain_story.limits(copies, datasets),
+        terrain_story.limits(copies, numbers["datasets"]),
         _time(shown),
-        *slam_story.sections(shown),
-        map_words.section(shown),
+        *slam_story.sections(shown, numbers["slam"]),
         robustness_story.section(shown),
     ]
 

@@ -29,7 +29,8 @@ ROWS = pa.schema(
 _YAW = pa.schema([(f"{kind}_w_rad", pa.float64()) for kind in _KINDS])
 _OF_PLACED = ("nees", "nees_median", "coverage_95", "inflation")
 _GOAL = 0.95  # of the errors, inside the ellipse that should hold so many
-_HOLDS_M = {"below 0.1 m": (0.0, 0.1), "0.1 to 1 m": (0.1, 1.0), "above 1 m": (1.0, np.inf)}
+FIRM = "below 0.1 m"  # the class of submaps that the ground holds best
+_HOLDS_M = {FIRM: (0.0, 0.1), "0.1 to 1 m": (0.1, 1.0), "above 1 m": (1.0, np.inf)}
 _MOST_M2, _LEAST_M2, _HALVINGS = 1e4, 1e-8, 24  # of a search for the variance to add
 
 

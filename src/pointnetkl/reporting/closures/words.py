@@ -1,22 +1,22 @@
 """The page's words on loop closures: does Q, made from one submap, tell the truth of them, and what follows."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-import pandas as pd
-
-from pointnetkl.reporting.closures.numbers import PAIR, SPLIT
+from pointnetkl.reporting.closures.numbers import FIRM, PAIR, SPLIT
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.reporting.text_table import Block, cell
+from pointnetkl.reporting.text_table import Block, Numbers, cell
 
 _GOAL = 0.95
 _NAMED = {GOLD: "labels", SPLIT: "labels of copy split", PAIR: "Q_ij"}
 
 
-def section(shown: Mapping[str, Sequence[Block]], copies: Mapping[str, str]) -> Section:
-    """Return the section around the tables `calibration_lc`; `copies` is the label.copy of each survey's labels."""
-    methods, surveys, holds, _ = (block.frame for block in shown["calibration_lc"])
+def section(shown: Mapping[str, Sequence[Block]], numbers: Numbers, copies: Mapping[str, str]) -> Section:
+    """Return the section around the tables `calibration_lc`.
+
+    `numbers` are the report's, and `copies` is the label.copy of each survey's labels.
+    """
+    calibrations, sizes = numbers["calibration_lc"], numbers["closures"]
     return Section(
         "Is the covariance right on real loop closures?",
         (
@@ -42,11 +42,11 @@ def section(shown: Mapping[str, Sequence[Block]], copies: Mapping[str, str]) -> 
             " the standard deviations in the direction in which Q_i falls shortest. Slopes of S_i that its targets do"
             " not have (outside) count in Q_i all the same. network_overlap is network asked about the points of S_i"
             " that lie over its targets alone.",
-            *_shares(surveys),
-            *_causes(holds),
-            *_coverages(methods),
-            *_advice(methods, copies),
-            *_widened(methods),
+            *_shares(sizes),
+            *_causes(numbers["closures_by_hold"]),
+            *_coverages(calibrations, sizes),
+            *_advice(calibrations, sizes, copies),
+            *_widened(calibrations, sizes),
         ),
         shown["calibration_lc"],
         {
@@ -66,83 +66,90 @@ def section(shown: Mapping[str, Sequence[Block]], copies: Mapping[str, str]) -> 
     )
 
 
-def _shares(surveys: pd.DataFrame) -> list[str]:
-    told = [
-        f"{row.survey} {100 * (row.placed_error_m / row.error_m) ** 2:.0f} %"
-        f" ({cell(row.placed_error_m, 2)} m of {cell(row.error_m, 2)} m)"
-        for row in surveys.itertuples()
-        if row.error_m and row.placed_error_m and row.against == "truth"
+def _shares(sizes: Numbers) -> list[str]:
+    shares = [
+        f"{survey} {100 * (size['placed_error_m'] / size['error_m']) ** 2:.0f} %"
+        f" ({cell(size['placed_error_m'], 2)} m of {cell(size['error_m'], 2)} m)"
+        for survey, size in sizes.items()
+        if size["error_m"] and size["placed_error_m"] and size["against"] == "truth"
     ]
-    return [f"Share of the registrations in the loop closures' mean squared error: {', '.join(told)}."] if told else []
+    if not shares:
+        return []
+    return [f"Share of the registrations in the loop closures' mean squared error: {', '.join(shares)}."]
 
 
-def _causes(holds: pd.DataFrame) -> list[str]:
-    """Return what errors are of where the ground holds best: there a label claims centimetres."""
-    told = [
-        f"{row.survey} {cell(row.error_m, 2)} m, of the registration alone {cell(row.placed_error_m, 2)} m,"
-        f" of GT's yaw alone {cell(row.heading_m, 2)} m"
-        for row in holds.itertuples()
-        if row.sigma_of_Q_ij.startswith("below") and row.heading_m is not None
+def _causes(by_hold: Numbers) -> list[str]:
+    """Return the errors and their causes where the ground holds best: there a label claims centimetres."""
+    firm = {survey: classes[FIRM] for survey, classes in by_hold.items() if FIRM in classes}
+    causes = [
+        f"{survey} {cell(medians['error_m'], 2)} m, of the registration alone {cell(medians['placed_error_m'], 2)} m,"
+        f" of GT's yaw alone {cell(medians['heading_m'], 2)} m"
+        for survey, medians in firm.items()
+        if medians["heading_m"] is not None
     ]
-    return [f"Where Q_ij has a sigma below 0.1 m, the median error is: {'; '.join(told)}."] if told else []
+    return [f"Where Q_ij has a sigma below 0.1 m, the median error is: {'; '.join(causes)}."] if causes else []
 
 
-def _coverages(methods: pd.DataFrame) -> list[str]:
-    if methods.empty:
-        return ["No survey here closes a loop."]
-    lines = []
-    for survey, rows in methods.groupby("survey", sort=False):
-        of = rows.set_index("method")
-        told = [
-            f"{name} {_percent(of['coverage_95'][method])}{_placed(of.loc[method])}"
+def _coverages(calibrations: Numbers, sizes: Numbers) -> list[str]:
+    surveys = []
+    for survey, methods in calibrations.items():
+        coverages = [
+            f"{name} {_percent(methods[method]['coverage_95'])}"
+            f"{_placed(methods[method]) if method != PAIR and sizes[survey]['against'] == 'truth' else ''}"
             for method, name in _NAMED.items()
-            if method in of.index
+            if method in methods
         ]
-        lines.append(f"{survey}: {', '.join(told)}")
-    return [f"Inside the ellipse that should hold 95 %: {'; '.join(lines)}."]
+        surveys += [f"{survey}: {', '.join(coverages)}"] if methods else []
+    if not surveys:
+        return ["No survey here closes a loop."]
+    return [f"Inside the ellipse that should hold 95 %: {'; '.join(surveys)}."]
 
 
-def _placed(row: "pd.Series[Any]") -> str:
-    """Return the coverage of placed registrations where that says something: from the truth, and not of Q_ij."""
-    says = row["against"] == "truth" and row.name != PAIR
-    return f" (placed {_percent(row['placed_coverage_95'])})" if says else ""
+def _placed(calibration: Numbers) -> str:
+    return f" (placed {_percent(calibration['placed_coverage_95'])})"
 
 
-def _advice(methods: pd.DataFrame, copies: Mapping[str, str]) -> list[str]:
+def _advice(calibrations: Numbers, sizes: Numbers, copies: Mapping[str, str]) -> list[str]:
     """Return which copy's labels are nearer to the truth of registrations, by the coverage of the placed ones.
 
-    Where the truth is not known, they were placed where GT has them, which the labels made: that tells nothing.
+    Where the truth is not known, the submaps were placed where GT has them. GT was made with the labels, so it cannot
+    judge them.
     """
-    methods = methods[methods["against"] == "truth"]
-    miss = methods.assign(miss=(methods["placed_coverage_95"].astype(float) - _GOAL).abs())
-    table = miss.pivot_table(index="survey", columns="method", values="miss", sort=False)
-    same = [survey for survey in table.index if copies.get(survey) == "same"]
-    if not same or not {GOLD, SPLIT} <= set(table.columns):
+    misses = {}
+    for survey, methods in calibrations.items():
+        placed = [methods.get(method, {}).get("placed_coverage_95") for method in (GOLD, SPLIT)]
+        if sizes[survey]["against"] == "truth" and copies.get(survey) == "same" and None not in placed:
+            misses[survey] = [abs(coverage - _GOAL) for coverage in placed]
+    if not misses:
         return []
-    better = [survey for survey in same if table.loc[survey, SPLIT] < table.loc[survey, GOLD]]
-    if len(better) == len(same):
-        told = "on every survey here, those of copy split: take label.copy: split where Q goes into a graph"
+    better = [survey for survey, (gold, split) in misses.items() if split < gold]
+    if len(better) == len(misses):
+        said = "on every survey here, those of copy split: take label.copy: split where Q goes into a graph"
     elif better:
-        told = f"on {', '.join(better)} those of copy split, elsewhere those of copy same: no default follows"
+        said = f"on {', '.join(better)} those of copy split, elsewhere those of copy same: no default follows"
     else:
-        told = "on every survey here, those of copy same: the paper's labels stand"
-    return [f"What follows: labels nearer to the truth of registrations are, {told}."]
+        said = "on every survey here, those of copy same: the paper's labels stand"
+    return [f"What follows: labels nearer to the truth of registrations are, {said}."]
 
 
-def _widened(methods: pd.DataFrame) -> list[str]:
+def _widened(calibrations: Numbers, sizes: Numbers) -> list[str]:
     """Return what becomes of the labels' coverage with the factor that other surveys ask for."""
-    told = [
-        f"{row.survey}, {_NAMED[row.method]}: {_percent(row.coverage_95)} becomes {_percent(row.coverage_95_inflated)}"
-        f" (its own factor would be {cell(row.inflation, 2)}{_without_gt(row)})"
-        for row in methods.itertuples()
-        if row.method in (GOLD, SPLIT) and not pd.isna(row.coverage_95_inflated)
+    changes = [
+        f"{survey}, {_NAMED[method]}: {_percent(values['coverage_95'])} becomes"
+        f" {_percent(values['coverage_95_inflated'])} (its own factor would be {cell(values['inflation'], 2)}"
+        f"{_without_gt(values) if sizes[survey]['against'] == 'truth' else ''})"
+        for survey, methods in calibrations.items()
+        for method, values in methods.items()
+        if method in (GOLD, SPLIT) and "coverage_95_inflated" in values
     ]
-    return [f"With Q times the factor that the other test surveys ask for: {'; '.join(told)}."] if told else []
+    if not changes:
+        return []
+    return [f"With Q times the factor that the other test surveys ask for: {'; '.join(changes)}."]
 
 
-def _without_gt(row: Any) -> str:
-    return f", {cell(row.placed_inflation, 2)} without GT's errors" if row.against == "truth" else ""
+def _without_gt(calibration: Numbers) -> str:
+    return f", {cell(calibration['placed_inflation'], 2)} without GT's errors"
 
 
-def _percent(share: object) -> str:
-    return cell(None) if share is None or pd.isna(share) else f"{100 * float(str(share)):.0f} %"
+def _percent(share: float | None) -> str:
+    return cell(None) if share is None else f"{100 * share:.0f} %"

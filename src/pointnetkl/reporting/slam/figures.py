@@ -1,6 +1,7 @@
 """The SLAM benchmark's figures: what of the results each one shows."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -8,8 +9,9 @@ from matplotlib.figure import Figure
 from pointnetkl.reporting.covariances import cases, method_plots
 from pointnetkl.reporting.drawing import maps, sheet
 from pointnetkl.reporting.results import Test
-from pointnetkl.reporting.slam import along_track, closure_maps, differences, trajectories
+from pointnetkl.reporting.slam import along_track, closure_maps, trajectories
 from pointnetkl.reporting.slam import maps as slam_maps
+from pointnetkl.reporting.slam import numbers as slam_numbers
 from pointnetkl.reporting.slam.closure_maps import Closures
 from pointnetkl.reporting.slam.maps import Seabed
 from pointnetkl.reporting.slam.trajectories import Tracks
@@ -21,10 +23,13 @@ _FIGURES = ("trajectories", "bathymetry", "closures", "error_along_track", "slam
 _MOST_POINTS = 400_000  # of a map: more only take time, its cells hold dozens each
 
 
-def figures(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> Iterator[tuple[str, Figure]]:
-    """Yield the figures of the test surveys' solved graphs, by name; `spacing_m` is that of their points.
+def figures(
+    surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float], numbers: Mapping[str, Any]
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of the test surveys' solved graphs, by name.
 
-    Surveys without a track have no graph to solve, and are not shown.
+    `spacing_m` is the point spacing by survey; `numbers` are the report's. Surveys without a track have no graph to
+    solve and are not drawn.
     """
     surveys = [each for each in surveys if each.test.track]
     if not surveys:
@@ -33,13 +38,13 @@ def figures(surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float]) -> 
     tracks = {each.name: _tracks(each.test) for each in surveys}
     seabeds = {each.name: _seabed(each, spacing_m[each.name]) for each in surveys}
     closing = {each.name: _closures(each, seabeds[each.name]) for each in surveys if len(each.test.registered)}
-    rows = {each.name: each.test.slam for each in surveys}
     yield "trajectories", trajectories.trajectories(tracks)
     yield "bathymetry", slam_maps.bathymetry(seabeds)
     yield "closures", closure_maps.closures(closing)
     yield "error_along_track", along_track.along(tracks)
-    yield "slam_differences", method_plots.slam_differences(differences.differences(rows))
-    yield "slam_both_ways", method_plots.slam_both_ways(differences.both_ways(rows))
+    yield "slam_differences", method_plots.slam_differences(slam_numbers.differences(numbers["slam"]))
+    both = slam_numbers.both_ways(numbers["slam"], numbers["slam_authors"])
+    yield "slam_both_ways", method_plots.slam_both_ways(both)
 
 
 def poses_of(test: Test, which: str) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The numbers of the SLAM benchmark: the paper's table of one graph, and statistics over draws of its loop closures."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,16 @@ from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import OURS, SLAM_ERRORS, Settings, Test
 from pointnetkl.slam.graph import trajectory_error
 
-TABLE, AUTHORS = "table", "authors"  # of slam.ROWS' variants
+TABLE, AUTHORS = "table", "authors"  # variants of the benchmark
+NOT_SOLVED = ("navigation", "corrupted", "gt")  # trajectories that no method's covariances made
 # Measured over draws, and how their numbers are called: {} stands in a name of the measure's mean, or of a comparison
 _OVER_DRAWS = {
     "truth_rmse_xyz_m": ("draws_truth_rmse_xyz", "network_minus", "network"),
     "truth_rmse_se2_m": ("draws_truth_rmse_se2", "network_minus_se2", "network_se2"),
     "truth_relative_m": ("truth_relative", "network_minus_relative", "network_relative"),
 }
+MEASURES = tuple(_OVER_DRAWS)
+DIFFERENCES = ["survey", "method", "measure", "network_m", "difference_m", "ci_low", "ci_high"]
 
 
 def summarise(name: str, test: Test, settings: Settings) -> dict[str, Any]:
@@ -61,6 +64,51 @@ def variants(test: Test) -> dict[str, dict[str, Any]]:
             "minus_table_ci95_m": intervals.interval(more.to_numpy(), _draw(more)),
         }
     return found
+
+
+def differences(slam: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Return network's mean error less each method's, with its 95 % interval, metres: columns DIFFERENCES.
+
+    `slam` has the results of `summarise` by survey. A survey without a truth, or without network, gives no rows.
+    """
+    rows = [row for survey, numbers in slam.items() for row in _differences(survey, numbers)]
+    return pd.DataFrame(rows, columns=DIFFERENCES)
+
+
+def both_ways(slam: Mapping[str, Any], authors: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the mean truth_rmse_xyz_m on the paper's graph as it should be and with the authors' slips, metres.
+
+    `slam` and `authors` have the results of the functions `summarise` and `authors` by survey. There is a row for each
+    survey and method that was solved both ways and has a truth: survey, method, table_m, authors_m.
+    """
+    error = "truth_rmse_xyz_m"
+    rows = [
+        {"survey": survey, "method": method, "table_m": slam[survey][method][error], "authors_m": values[error]}
+        for survey, numbers in authors.items()
+        for method, values in _solved(numbers)
+        if pd.notna(values[error])
+    ]
+    return pd.DataFrame(rows, columns=["survey", "method", "table_m", "authors_m"])
+
+
+def _differences(survey: str, numbers: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for measure, (mean, minus, _) in _OVER_DRAWS.items():
+        for method, values in sorted(_solved(numbers)):
+            if pd.notna(values.get(f"{minus}_m")):
+                low, high = values[f"{minus}_ci95_m"] or (None, None)
+                yield {
+                    "survey": survey,
+                    "method": method,
+                    "measure": measure,
+                    "network_m": numbers[OURS][f"{mean}_m"],
+                    "difference_m": values[f"{minus}_m"],
+                    "ci_low": low,
+                    "ci_high": high,
+                }
+
+
+def _solved(numbers: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    return [(name, each) for name, each in numbers.items() if isinstance(each, Mapping) and name not in NOT_SOLVED]
 
 
 def _sizes(test: Test) -> dict[str, Any]:

@@ -6,7 +6,8 @@ import pandas as pd
 
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import OURS
-from pointnetkl.reporting.text_table import Block, cell
+from pointnetkl.reporting.slam.consistency import PERCENTILE
+from pointnetkl.reporting.text_table import Block, Numbers, cell
 
 Blocks = Mapping[str, Sequence[Block]]
 _RIVALS = ("constant", "naive_gicp")  # the paper's baselines
@@ -16,12 +17,15 @@ _MEASURES = {  # by what is said of them: which of network_minus_*
 }
 
 
-def sections(shown: Blocks) -> list[Section]:
-    """Return the page's sections on SLAM around the tables, by the stems of their files."""
-    return [_benchmark(shown), _maps(), _both_ways(shown)]
+def sections(shown: Blocks, slam: Numbers) -> list[Section]:
+    """Return the page's sections on SLAM.
+
+    `shown` has the tables by the stems of their files, `slam` the results of `numbers.summarise` by survey.
+    """
+    return [_benchmark(shown, slam), _maps(), _both_ways(shown), _consistency(shown, slam)]
 
 
-def _benchmark(shown: Blocks) -> Section:
+def _benchmark(shown: Blocks, slam: Numbers) -> Section:
     return Section(
         "SLAM",
         (
@@ -38,7 +42,7 @@ def _benchmark(shown: Blocks) -> Section:
             " truth, moved so that the submap that is held has none. 1 would be right. Below 1 is expected of every"
             " method: the graph allows each edge of dead reckoning metres of error in x and y (graph.dead_reckoning),"
             " and the protocol adds none.",
-            *_verdicts(shown["table_4"][-1].frame),
+            *_verdicts(slam),
         ),
         shown["table_4"],
         {
@@ -60,15 +64,20 @@ def _benchmark(shown: Blocks) -> Section:
     )
 
 
-def _verdicts(draws: pd.DataFrame) -> list[str]:
+def _verdicts(slam: Numbers) -> list[str]:
     """Return what the draws say of network against the paper's baselines, by the primary measure and of pairs."""
-    known = draws[draws["draws_truth_rmse_xyz_m"].notna()]
-    ours = [
-        f"{row.survey} {cell(row.draws_truth_rmse_xyz_m, 3)} m and {cell(row.draws_truth_rmse_se2_m, 3)} m"
-        for row in known[known["method"] == OURS].itertuples()
-    ]
-    if not ours:
+    known = {
+        survey: numbers
+        for survey, numbers in slam.items()
+        if pd.notna(numbers.get(OURS, {}).get("draws_truth_rmse_xyz_m"))
+    }
+    if not known:
         return []
+    ours = [
+        f"{survey} {cell(numbers[OURS]['draws_truth_rmse_xyz_m'], 3)} m"
+        f" and {cell(numbers[OURS]['draws_truth_rmse_se2_m'], 3)} m"
+        for survey, numbers in known.items()
+    ]
     against = [f"{name}: {'; '.join(told)}." for name, which in _MEASURES.items() if (told := _against(known, which))]
     return [
         "The measure is truth_rmse_xyz_m; truth_relative_m, of pairs that a loop closure joins, is a more sensitive one"
@@ -77,18 +86,18 @@ def _verdicts(draws: pd.DataFrame) -> list[str]:
     ]
 
 
-def _against(known: pd.DataFrame, which: str) -> list[str]:
+def _against(slam: Numbers, which: str) -> list[str]:
+    """Return a clause for each survey and baseline: network's error less the baseline's, and whether it is better."""
     told = []
-    for row in known[known["method"].isin(_RIVALS)].to_dict("records"):
-        less, low, high = (row[name] for name in (f"network_minus{which}_m", *_limits(which)))
-        if low is not None:
-            seen = "better" if high < 0 else "worse" if low > 0 else "no difference seen"
-            told.append(f"{row['survey']}, {row['method']} {cell(less, 2)} ({cell(low, 2)} to {cell(high, 2)}), {seen}")
+    for survey, numbers in slam.items():
+        for method, values in numbers.items():
+            interval = values.get(f"network_minus{which}_ci95_m") if method in _RIVALS else None
+            if interval is not None:
+                low, high = interval
+                seen = "better" if high < 0 else "worse" if low > 0 else "no difference seen"
+                less = cell(values[f"network_minus{which}_m"], 2)
+                told.append(f"{survey}, {method} {less} ({cell(low, 2)} to {cell(high, 2)}), {seen}")
     return told
-
-
-def _limits(which: str) -> tuple[str, str]:
-    return f"ci_low_minus{which}", f"ci_high_minus{which}"
 
 
 def _maps() -> Section:
@@ -136,3 +145,43 @@ def _both_ways(shown: Blocks) -> Section:
             " how large such a thing is. Where minus_table's interval holds 0, no difference was seen.",
         ),
     )
+
+
+def _consistency(shown: Blocks, slam: Numbers) -> Section:
+    return Section(
+        "Consistency of the map",
+        (
+            "In each cell of slam.map_cell_m, for every ordered pair of submaps in it: the mean over a's points of the"
+            " distance to b's nearest; the cell counts its worst pair. Every slam.map_thinning-th point asks, and all"
+            " answer. map_to_map_auvlib_m is the authors' way, on 500 x 500 cells however large the map: compare it"
+            " between methods, never between surveys.",
+            "Thinning is not neutral. Fewer points that ask overlook submaps that barely reach into a cell, whose pairs"
+            " are the worst, and tell a cell's worst pair less surely, which makes it worse: ratio has both."
+            " both_thinned_m is what thinning the points that answer as well would do: a map seems worse because its"
+            " points are farther apart.",
+        ),
+        shown["map_thinning"],
+        {
+            "consistency": "Map-to-map error by cell (root mean square above), repetition 0, a row for each survey and"
+            f" on one scale in it, which ends at the {PERCENTILE:.0f}th percentile of its cells. Every method, in map"
+            " coordinates: reports/slam/<survey>_consistency.tif, a band each.",
+        },
+        (
+            "Dark stripes at every trajectory, the true one too, are where one submap ends and the next begins: both"
+            " have points in the cell, and those of one are far from the other's end. They and the spacing of"
+            f" soundings are in the number of every map, however good.{_floors(shown, slam)}",
+        ),
+    )
+
+
+def _floors(shown: Blocks, slam: Numbers) -> str:
+    """Return how much of a solved map's error the map at GT has as well."""
+    thinned = shown["map_thinning"][0].frame
+    at_gt = thinned[thinned["thinning"] == 1].set_index("survey")["map_to_map_m"]
+    errors = {survey: numbers.get(OURS, {}).get("map_to_map_m") for survey, numbers in slam.items()}
+    told = [
+        f"{survey} {cell(at_gt[survey], 3)} at GT, {cell(error, 3)} solved"
+        for survey, error in errors.items()
+        if survey in at_gt and pd.notna(error)
+    ]
+    return f" Metres at GT's poses (no thinning) and as network has them: {'; '.join(told)}." if told else ""
