@@ -12,7 +12,7 @@ from pointnetkl.registration import gicp
 from pointnetkl.registration.covariance import label_table
 from pointnetkl.slam.closures import graph_construction, loop_closure
 from pointnetkl.slam.graph import survey_graph
-from pointnetkl.surveys import pose_table, submap, survey
+from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts, command, parameters
 
 
@@ -27,7 +27,7 @@ def main(arguments: argparse.Namespace) -> None:
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
-    spacing, navigation = float(np.median(labels["spacing_m"])), pose_table.poses(poses)
+    spacing, navigation = float(np.median(labels["spacing_m"])), submap.poses_from_table(poses)
     if artifacts.table_metadata(arguments.pings).get("kind") == "points":  # tiles, which nobody went along
         made = graph_construction.without_track(name, submaps, navigation, spacing, graph, registration)
     else:

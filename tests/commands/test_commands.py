@@ -18,7 +18,7 @@ from pointnetkl.readers.formats.clouds import CloudFileError
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph, survey_graph
-from pointnetkl.surveys import pose, quaternion, submap
+from pointnetkl.surveys import pose, submap
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow import parameters as parameters
 from realdata import REALDATA
@@ -195,7 +195,7 @@ def pcd(path: Path, points: np.ndarray, T: np.ndarray | None) -> Path:
     lines = "".join(f"{x:.5f} {y:.5f} {z:.5f}\n" for x, y, z in points)
     viewpoint = ""
     if T is not None:
-        x, y, z, w = quaternion.of(T[None])[0]
+        x, y, z, w = pose.quaternions(T[None])[0]
         viewpoint = "VIEWPOINT " + " ".join(f"{v:.9g}" for v in [*T[:3, 3], w, x, y, z]) + "\n"
     head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
     path.write_text(f"{head}WIDTH {len(points)}\nHEIGHT 1\n{viewpoint}POINTS {len(points)}\nDATA ascii\n{lines}")

@@ -10,7 +10,7 @@ import pytest
 
 import whole_survey
 from pointnetkl import segmentation
-from pointnetkl.segmentation import Segmentation, Settings, halves, spacing, tiles
+from pointnetkl.segmentation import Segmentation, Settings, spacing, tiles
 from pointnetkl.segmentation.soundings import SoundingsError
 from pointnetkl.segmentation.tiles import TilesError
 from pointnetkl.surveys import pose, submap, survey
@@ -141,7 +141,7 @@ def test_points_too_sparse_for_their_spacing_say_how_dense_they_are():
 def test_halves_share_every_cell_of_two_points_and_one_of_them_has_a_single_point():
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 30, (1500, 3))
-    second = halves.alternate(points, 1.0, rng)
+    second = spacing.alternate(points, 1.0, rng)
     cell = np.unique(spacing.cells(points, 1.0), return_inverse=True)[1]
     in_first, in_second = np.bincount(cell[~second], minlength=cell.max() + 1), np.bincount(cell[second])
     assert np.abs(in_first[: len(in_second)] - in_second).max() <= 1
@@ -151,7 +151,7 @@ def test_halves_share_every_cell_of_two_points_and_one_of_them_has_a_single_poin
 
 def test_halves_of_a_grid_have_no_direction():
     x, y = np.mgrid[0.5:40, 0.5:40].reshape(2, -1)
-    second = halves.alternate(np.c_[x, y, 0 * x], 1.0, np.random.default_rng(3))
+    second = spacing.alternate(np.c_[x, y, 0 * x], 1.0, np.random.default_rng(3))
     for line in (x, y):
         share = np.bincount(line.astype(int), second) / 40
         assert share.std() < 0.12

@@ -14,7 +14,7 @@ import numpy as np
 
 from pointnetkl.readers.formats import text_lines
 from pointnetkl.slam.graph.pose_graph import Edges
-from pointnetkl.surveys import quaternion
+from pointnetkl.surveys import pose
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -167,11 +167,11 @@ class _Reader:
     def _transforms(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses of the lines of a kind, and the numbers after them."""
         rows = np.array(self._rows[tag], np.float64).reshape(-1, _NUMBERS[tag])
-        wrong = ~quaternion.is_unit(rows[:, 3:7])
+        wrong = ~pose.are_unit(rows[:, 3:7])
         if wrong.any():
             line = self._lines[tag][int(wrong.argmax())]
             raise self._error(line, "its quaternion has not length 1; the order is x y z qx qy qz qw")
-        return quaternion.to_poses(rows[:, :3], rows[:, 3:7]), rows[:, 7:]
+        return pose.from_quaternions(rows[:, :3], rows[:, 3:7]), rows[:, 7:]
 
     def _information(self, upper: np.ndarray, units: np.ndarray) -> np.ndarray:
         matrices = np.zeros((len(upper), 6, 6))
@@ -212,7 +212,7 @@ def _stated(path: Path, lines: list[tuple[int, list[str]]]) -> str | None:
 
 
 def _rows(poses: np.ndarray) -> np.ndarray:
-    return np.column_stack([poses[:, :3, 3], quaternion.of(poses)]) if len(poses) else np.empty((0, 7))
+    return np.column_stack([poses[:, :3, 3], pose.quaternions(poses)]) if len(poses) else np.empty((0, 7))
 
 
 def _line(numbers: np.ndarray) -> str:

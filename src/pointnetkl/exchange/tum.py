@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pointnetkl.readers.formats import text_lines
-from pointnetkl.surveys import quaternion
+from pointnetkl.surveys import pose
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -20,7 +20,7 @@ def write(path: Path, time_s: np.ndarray, poses: np.ndarray, says: str) -> None:
     Raises:
         ArtifactError: the file cannot be written.
     """
-    rows = np.column_stack([time_s, poses[:, :3, 3], quaternion.of(poses)])
+    rows = np.column_stack([time_s, poses[:, :3, 3], pose.quaternions(poses)])
     lines = [
         f"# {says}; x y z in metres in the map frame, qx qy qz qw",
         *(" ".join(map(repr, r)) for r in rows.tolist()),
@@ -40,12 +40,12 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     rows = np.array([_numbers(path, line, words) for line, words in lines])
     grows = np.diff(rows[:, 0], prepend=-np.inf) > 0
     for good, cause in (
-        (quaternion.is_unit(rows[:, 4:]), "its quaternion has not length 1; the order is qx qy qz qw"),
+        (pose.are_unit(rows[:, 4:]), "its quaternion has not length 1; the order is qx qy qz qw"),
         (grows, "its time is not later than the one before"),
     ):
         if not good.all():
             raise TumError(f"{path}: line {lines[int(good.argmin())][0]}: {cause}")
-    return rows[:, 0], quaternion.to_poses(rows[:, 1:4], rows[:, 4:])
+    return rows[:, 0], pose.from_quaternions(rows[:, 1:4], rows[:, 4:])
 
 
 def _numbers(path: Path, line: int, words: list[str]) -> list[float]:

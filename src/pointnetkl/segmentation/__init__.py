@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pointnetkl.segmentation import halves, soundings, spacing, track
+from pointnetkl.segmentation import soundings, spacing, track
 from pointnetkl.segmentation.soundings import XYZ, Forward
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import POSES, Submap
@@ -86,7 +86,7 @@ def keep(
 ) -> Segmentation:
     """Give `take` submaps that another program has cut, each a ping with its pose: thinned as by `segment`, levelled.
 
-    They have no pings to alternate: their halves are those of `halves.alternate`. A pose's track_m is the distance to
+    They have no pings to alternate: their halves are those of `spacing.alternate`. A pose's track_m is the distance to
     the next submap, NaN of the last.
 
     Raises:
@@ -121,7 +121,7 @@ def _cut(
         points, row = points[~alone], row[~alone]
         rng = np.random.default_rng([seed, len(poses)])
         if instant is None:
-            second = halves.alternate(points, spacing_m, rng)
+            second = spacing.alternate(points, spacing_m, rng)
         else:
             second = (instant[row] - instant[stretch.first]) % 2 == 1
         found = thinned(survey, len(poses), points, second, spacing_m, rng)

@@ -1,4 +1,4 @@
-"""Spacing of soundings: square cells, one sounding drawn from each, and soundings that stand alone."""
+"""Spacing of points: square cells, one point drawn from each, halves of a submap, and points that stand alone."""
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,25 @@ def thin(points: np.ndarray, edge: float, rng: np.random.Generator) -> np.ndarra
     occupied, counts, order = _grouped(cells(points, edge))
     drawn = np.floor(rng.random(len(counts)) * counts).astype(np.int64)
     return order[occupied + drawn]
+
+
+def alternate(points: np.ndarray, edge: float, rng: np.random.Generator) -> np.ndarray:
+    """Return whether (n,) each point (n, 3) is in the second half: of each square cell, every other one at random.
+
+    A submap's halves are the same ground twice, from points that are not the same. Those of a swath are alternate
+    pings, each a pass of its own over the ground between the other's; these are for points without pings. Where the
+    points are single soundings that is as good. Where they are nodes of a gridded surface, neighbours share soundings,
+    the halves err together, and a label of `label.copy: split` is too small.
+
+    A cell of `edge` that holds two points or more is in both halves; one that holds a single point is in either.
+    """
+    shuffled = rng.permutation(len(points))
+    cell = cells(points, edge)[shuffled]
+    counts, order = np.unique(cell, return_counts=True)[1], np.argsort(cell, kind="stable")
+    rank = np.arange(len(points)) - np.repeat(np.cumsum(counts) - counts, counts)
+    second = np.empty(len(points), bool)
+    second[shuffled[order]] = (rank + np.repeat(rng.integers(0, 2, len(counts)), counts)) % 2 == 1
+    return second
 
 
 def outlying(points: np.ndarray, edge: float) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl import segmentation
-from pointnetkl.segmentation import Segmentation, Take, halves, soundings, spacing
+from pointnetkl.segmentation import Segmentation, Take, soundings, spacing
 from pointnetkl.surveys.submap import POSES, Submap
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -46,7 +46,7 @@ def segment(
 
     Tiles lie along the map's axes and are numbered from 0, row by row to and fro, so that the next is a neighbour. A
     tile's frame is levelled, not turned, and stands at the tile's centre and its points' mean height. Its points are
-    thinned as those of a swath; its halves are those of `halves.alternate`. A pose has no time (NaN) and no pings, its
+    thinned as those of a swath; its halves are those of `spacing.alternate`. A pose has no time (NaN) and no pings, its
     line is its row of tiles and its track_m the edge.
 
     Raises:
@@ -98,7 +98,7 @@ def _in_its_frame(
 
 def _submap(survey: str, number: int, points: np.ndarray, spacing_m: float, seed: int) -> Submap:
     rng = np.random.default_rng([seed, number])
-    second = halves.alternate(points, spacing_m, rng)
+    second = spacing.alternate(points, spacing_m, rng)
     return segmentation.thinned(survey, number, points, second, spacing_m, rng)
 
 

@@ -8,6 +8,9 @@ y first, as the paper has them, and then yaw, if it is found.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+_LOOSEST = 1e-3  # from the length 1 of a quaternion: files of few digits are that far off; more is damage
 
 
 def matrix(position: np.ndarray, yaw: float) -> np.ndarray:
@@ -51,3 +54,23 @@ def log(translation: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     along = np.cos(half) / np.sinc(half / np.pi)
     x, y = translation[..., 0], translation[..., 1]
     return np.stack([along * x + half * y, along * y - half * x, np.asarray(yaw)], axis=-1)
+
+
+def quaternions(poses: np.ndarray) -> np.ndarray:
+    """Return the orientations of transforms (n, 4, 4) as unit quaternions (n, 4): x, y, z, w, with w not negative."""
+    return np.asarray(Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)).reshape(-1, 4)
+
+
+def are_unit(quaternions: np.ndarray) -> np.ndarray:
+    """Return whether (n,) each of the quaternions (n, 4) has length 1, up to the digits that a file may lack."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.abs(np.linalg.norm(quaternions, axis=-1) - 1) < _LOOSEST)
+
+
+def from_quaternions(positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """Return transforms (n, 4, 4) of positions (n, 3) and quaternions (n, 4: x, y, z, w), scaled to length 1."""
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    if len(positions):
+        poses[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+        poses[:, :3, 3] = positions
+    return poses

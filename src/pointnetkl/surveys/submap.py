@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from pointnetkl.surveys import pose
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -96,6 +97,12 @@ def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:
         for part, p in ((WHOLE, s.points), (FIRST, s.first), (SECOND, s.second))
     ]
     return pd.concat(parts, ignore_index=True) if parts else POINTS.empty_table().to_pandas()
+
+
+def poses_from_table(table: pd.DataFrame) -> np.ndarray:
+    """Return T_map_submap (n, 4, 4) of a table with columns x_m, y_m, z_m and yaw_rad, in the order of its rows."""
+    rows = table[["x_m", "y_m", "z_m", "yaw_rad"]].to_numpy(np.float64)
+    return np.array([pose.matrix(row[:3], row[3]) for row in rows]).reshape(-1, 4, 4)
 
 
 def _submap(survey: str, number: int, rows: pd.DataFrame) -> Submap:

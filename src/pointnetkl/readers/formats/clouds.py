@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pointnetkl.readers.formats import lzf, text_lines
-from pointnetkl.surveys import quaternion
+from pointnetkl.surveys import pose
 from pointnetkl.workflow.errors import PointNetKLError
 
 _PLY_TYPES = {
@@ -88,11 +88,11 @@ def viewpoint(path: Path, content: bytes) -> np.ndarray:
     except ValueError as error:
         raise CloudFileError(f"{path}: VIEWPOINT is no pose: {error}") from error
     orientation = np.array([[qx, qy, qz, qw]])
-    if not quaternion.is_unit(orientation)[0]:
+    if not pose.are_unit(orientation)[0]:
         raise CloudFileError(
             f"{path}: the quaternion of its VIEWPOINT has not length 1; the order is x y z qw qx qy qz"
         )
-    return quaternion.to_poses(np.array([[x, y, z]]), orientation)[0]
+    return pose.from_quaternions(np.array([[x, y, z]]), orientation)[0]
 
 
 def _points(path: Path, content: bytes) -> np.ndarray:

@@ -15,7 +15,7 @@ from pointnetkl.reporting.slam import numbers as slam_numbers
 from pointnetkl.reporting.slam.closure_maps import Closures
 from pointnetkl.reporting.slam.maps import Seabed
 from pointnetkl.reporting.slam.trajectories import Tracks
-from pointnetkl.surveys import pose, pose_table
+from pointnetkl.surveys import pose, submap
 
 _SOLVED = ("network", "pointnetkl", "monte_carlo")  # whose map is shown: the first that is there
 _ELLIPSES = ("network", "monte_carlo")
@@ -49,7 +49,7 @@ def figures(
 
 def poses_of(test: Test, which: str) -> np.ndarray:
     """Return a trajectory's poses T_map_submap (n, 4, 4), in the order of the submaps' numbers."""
-    return pose_table.poses(test.trajectories[test.trajectories["which"] == which].sort_values("submap"))
+    return submap.poses_from_table(test.trajectories[test.trajectories["which"] == which].sort_values("submap"))
 
 
 def _tracks(test: Test) -> Tracks:

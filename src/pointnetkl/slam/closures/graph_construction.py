@@ -12,7 +12,7 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.slam.closures import loop_closure
 from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures, SurveyGraph
-from pointnetkl.surveys import pose_table
+from pointnetkl.surveys import submap
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
@@ -42,7 +42,7 @@ def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFram
         )
     columns = {name: np.interp(times, known, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
     wrong = _heading(times, pings) - _heading(times, trajectory)
-    return pose_table.poses(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
+    return submap.poses_from_table(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
 
 
 def _heading(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pointnetkl.surveys import pose_table
+from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -91,7 +91,7 @@ def of_trajectories(trajectories: pd.DataFrame, cells_at: Callable[[np.ndarray],
     Levelled poses: a solution's roll and pitch, some ten-thousandths of a radian, are not in the table.
     """
     return {
-        str(which): cells_at(pose_table.poses(rows.sort_values("submap")))
+        str(which): cells_at(submap.poses_from_table(rows.sort_values("submap")))
         for which, rows in trajectories.groupby("which", sort=False)
     }
 
