@@ -57,7 +57,7 @@ def solve(
     graph: SurveyGraph, methods: protocol.Methods, submaps: Iterable[submap.Submap], chosen: protocol.Settings
 ) -> Found:
     """Return what the benchmark finds, and what its maps' errors are."""
-    clouds = protocol.clouds_of(graph, {s.number: s.points for s in submaps})
+    clouds = protocol.node_clouds(graph, {s.number: s.points for s in submaps})
     measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
     map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
     rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)

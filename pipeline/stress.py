@@ -24,12 +24,12 @@ def main(arguments: argparse.Namespace) -> None:
     cell, coverage = file.number("graph.cell_factor") * file.number("spacing_m"), file.number("graph.coverage")
     artifacts.require_survey(name, arguments.submaps)
     covariances = table.read((arguments.estimated, arguments.predicted), name)
-    methods = stress.chosen(protocol.by_method(covariances, slam.floor_m2), chosen, name)
+    methods = stress.select_methods(protocol.by_method(covariances, slam.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = protocol.clouds_of(file.graph, {s.number: s.points for s in submaps})
+    clouds = protocol.node_clouds(file.graph, {s.number: s.points for s in submaps})
     rows, gate = (schema.empty_table().to_pandas() for schema in (tables.ROWS, tables.GATE))
     if file.graph.track:  # without one there is nothing to optimise
-        case = stress.Case(file.graph, methods, apart(file.graph, clouds, cell), slam.yaw_sigma_rad, chosen)
+        case = stress.Experiment(file.graph, methods, apart(file.graph, clouds, cell), slam.yaw_sigma_rad, chosen)
         rows = stress.benchmark(case)
         corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
         gate = loop_gate.table(file.graph, clouds, corrupted, cell, coverage)

@@ -127,7 +127,7 @@ def test_poses_that_still_move_at_an_error_that_does_not_change_are_a_solution(m
 
 
 def test_a_search_that_does_not_come_to_rest_says_how_far_it_still_moves(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(gtsam_search, "rest", lambda *_: gtsam_search.Rest(np.empty((14, 4, 4)), 0.3, 1e-3))
+    monkeypatch.setattr(gtsam_search, "optimise", lambda *_: gtsam_search.End(np.empty((14, 4, 4)), 0.3, 1e-3))
     with pytest.raises(GraphSolverError, match=r"14 vertices is not settled: the last step moved a pose by 0\.3 m"):
         graph_solver.solve(meshed()[0])
 

@@ -28,7 +28,7 @@ def closures(false: int) -> Edges:
 
 def robust_graph(edges: Edges, q: np.ndarray, odometry: pose_graph.Odometry) -> estimators.RobustGraph:
     """Return the graph whose first corner is held, with closures of Q (e, 2, 2)."""
-    sure = gtsam_search.joined(gtsam_search.held({0: SQUARE[0]}), odometry.factors)
+    sure = gtsam_search.join(gtsam_search.hold({0: SQUARE[0]}), odometry.factors)
     full = pose_graph.closure_covariances(q, CLOSURE)
     return estimators.RobustGraph(sure, odometry.initial, edges, full, THRESHOLDS)
 

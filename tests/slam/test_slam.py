@@ -64,10 +64,10 @@ def test_two_covariances_of_one_name_for_one_submap_are_refused():
 
 def test_clouds_follow_the_nodes_and_a_missing_one_is_named():
     clouds = {s.number: s.points for s in SUBMAPS}
-    assert protocol.clouds_of(GRAPH, clouds)[5] is SUBMAPS[5].points
+    assert protocol.node_clouds(GRAPH, clouds)[5] is SUBMAPS[5].points
     del clouds[5]
     with pytest.raises(protocol.SlamError, match="submap 5"):
-        protocol.clouds_of(GRAPH, clouds)
+        protocol.node_clouds(GRAPH, clouds)
 
 
 def test_a_floor_stands_below_every_variance():

@@ -23,7 +23,7 @@ SETTINGS = stress.Settings(5, ["good", "tight"], [0.0, 0.1, 0.25], 3, 1, THRESHO
 GOOD = {s.number: 0.01 * np.eye(2) for s in SUBMAPS}
 METHODS = {"good": GOOD, "tight": {n: 1e-4 * q for n, q in GOOD.items()}}
 COVERAGES = loop_gate.coverages([s.points for s in SUBMAPS], GRAPH.truth, GRAPH_SETTINGS.cell_factor * SPACING)
-CASE = stress.Case(GRAPH, METHODS, false_closures.pairs_apart(COVERAGES), 0.03, SETTINGS)
+CASE = stress.Experiment(GRAPH, METHODS, false_closures.pairs_apart(COVERAGES), 0.03, SETTINGS)
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 ERRORS = ["rmse_xyz_m", "truth_rmse_xyz_m", "truth_relative_m"]
 
@@ -76,7 +76,7 @@ def test_every_kernel_but_the_first_starts_where_that_ended_and_a_few_from_the_c
 
 
 def test_false_closures_never_join_submaps_that_overlap():
-    assert len(CASE.apart)
+    assert len(CASE.pairs_apart)
     for repetition in range(3):
         true = len(GRAPH.draws[repetition % 2].edges.source)
         _, edges = stress.with_false(CASE, repetition)[-1]
@@ -148,7 +148,7 @@ def test_a_run_that_fails_is_a_row_of_nulls_and_the_others_go_on(monkeypatch: py
 def test_a_survey_without_truth_or_closures_still_has_rows_of_share_0():
     submaps, line = graph(1, 3, known=False)
     methods = {"good": {s.number: 0.01 * np.eye(2) for s in submaps}}
-    rows = stress.benchmark(stress.Case(line, methods, CASE.apart[:0], 0.03, SETTINGS))
+    rows = stress.benchmark(stress.Experiment(line, methods, CASE.pairs_apart[:0], 0.03, SETTINGS))
     assert set(rows["share"]) == {0.0}
     assert rows["truth_rmse_xyz_m"].isna().all()
     assert (rows["accepted_true"] == 0).all()
@@ -157,7 +157,7 @@ def test_a_survey_without_truth_or_closures_still_has_rows_of_share_0():
 
 def test_a_method_that_nobody_estimated_is_named():
     with pytest.raises(stress.StressError, match=r"stress\.methods names tight, .* there are good"):
-        stress.chosen({"good": GOOD}, SETTINGS, "toy")
+        stress.select_methods({"good": GOOD}, SETTINGS, "toy")
 
 
 def test_the_noise_is_not_that_of_the_benchmark_of_covariances():

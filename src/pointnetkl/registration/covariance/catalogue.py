@@ -18,7 +18,7 @@ SPLIT, PAIR = "split", "pair"  # measured on loop closures: the label by copy sp
 OVERLAP = "_overlap"  # after a method's name: the method, asked about the ground that a loop closure's submaps share
 
 # What stands beside the methods in tables of SLAM, and no covariance made it.
-REFERENCES = ("truth", "gt", "navigation", "corrupted")
+TRUTH, GT, NAVIGATION, CORRUPTED = REFERENCES = ("truth", "gt", "navigation", "corrupted")
 
 
 class Family(StrEnum):

@@ -1,4 +1,4 @@
-"""Running the SLAM benchmark: the same noise for every method, the work shared out, and a row for each solution."""
+"""Runs the SLAM benchmark: the same noise for every method, blocks of repetitions in parallel, a row per solution."""
 
 import functools
 import itertools
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.slam.benchmark import errors as slam_errors
 from pointnetkl.slam.benchmark import protocol, tables
 from pointnetkl.slam.benchmark.protocol import Methods, Settings
@@ -19,7 +20,7 @@ from pointnetkl.surveys import pose
 from pointnetkl.workflow import compute
 
 MapError = Callable[[np.ndarray], float]
-_BLOCK = 10  # repetitions that a worker takes at once
+_BLOCK = 10  # repetitions in one task of a worker
 
 
 class _Block(NamedTuple):
@@ -37,7 +38,7 @@ class _Run(NamedTuple):
 class _Estimate(NamedTuple):
     run: _Run
     errors: dict[str, float]
-    poses: np.ndarray | None  # (n, 4, 4), of those that more is asked of
+    poses: np.ndarray | None  # (n, 4, 4); None where neither a map nor a trajectory is made of them
 
 
 def benchmark(
@@ -45,26 +46,32 @@ def benchmark(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the benchmark's tables (tables.ROWS, tables.TRAJECTORIES) for covariances by method and submap.
 
-    `map_errors` give errors of the map in metres for poses (n, 4, 4), by column. What has no solution is NaN (see
-    `unsolved`). Workers share the work, see `compute`; progress is shown.
+    `map_errors` holds, by column, functions that return the map's error in metres for poses (n, 4, 4). The errors of a
+    graph without a solution are NaN (see `unsolved`). Workers share the blocks (see `compute`); progress is shown.
     """
-    work = functools.partial(_solve, graph, methods, settings)
-    done = compute.over(work, list(_blocks(len(graph.draws), settings)), f"slam, {graph.survey}", unit="block")
-    navigation = _estimate(graph, _Run(TABLE, "navigation", 0, 0), graph.navigation)
-    found = [navigation, *itertools.chain.from_iterable(done)]
+    solve_block = functools.partial(_solve, graph, methods, settings)
+    blocks = list(_blocks(len(graph.draws), settings))
+    solved = compute.over(solve_block, blocks, f"slam, {graph.survey}", unit="block")
+    navigation = _estimate(graph, _Run(TABLE, catalogue.NAVIGATION, 0, 0), graph.navigation)
+    estimates = [navigation, *itertools.chain.from_iterable(solved)]
     rows = [
-        {"survey": graph.survey, **each.run._asdict(), **each.errors, **_map_errors(each, map_errors, settings)}
-        for each in found
+        {
+            "survey": graph.survey,
+            **estimate.run._asdict(),
+            **estimate.errors,
+            **_map_errors(estimate, map_errors, settings),
+        }
+        for estimate in estimates
     ]
-    return pd.DataFrame(rows, columns=tables.ROWS.names), _trajectories(graph, found)
+    return pd.DataFrame(rows, columns=tables.ROWS.names), _trajectories(graph, estimates)
 
 
 def unsolved(rows: pd.DataFrame) -> Iterator[str]:
     """Yield a sentence for every variant and method of tables.ROWS of which some repetitions have no solution."""
-    for (survey, variant, method), of in rows.groupby(["survey", "variant", "method"], sort=False):
-        if missing := int(of["rmse_xyz_m"].isna().sum()):
+    for (survey, variant, method), runs in rows.groupby(["survey", "variant", "method"], sort=False):
+        if missing := int(runs["rmse_xyz_m"].isna().sum()):
             yield (
-                f"{survey}, {method} ({variant}): {missing} of {len(of)} graphs have no solution, and so no errors:"
+                f"{survey}, {method} ({variant}): {missing} of {len(runs)} graphs have no solution, and so no errors:"
                 " covariances are next to singular; raise slam.floor_m2"
             )
 
@@ -76,20 +83,22 @@ def _blocks(draws: int, settings: Settings) -> Iterator[_Block]:
 
 
 def _solve(graph: SurveyGraph, methods: Methods, settings: Settings, block: _Block) -> list[_Estimate]:
-    every = protocol.variants(methods, settings)
-    graphs = [(each, protocol.pose_graphs(graph, methods, each, block.draw)) for each in every]
-    found = []
+    variants = protocol.variants(methods, settings)
+    graphs = [(variant, protocol.pose_graphs(graph, methods, variant, block.draw)) for variant in variants]
+    estimates = []
     for repetition in block.repetitions:
         relative = protocol.corrupt(graph, block.draw, repetition, settings)
         corrupted = pose_graph.chain(graph.gt[0], relative)
         odometry = Odometry(relative, graph.dead_reckoning_noise, corrupted)
-        found.append(_estimate(graph, _Run(TABLE, "corrupted", block.draw, repetition), corrupted))
-        for variant, of_methods in graphs:
+        run = _Run(TABLE, catalogue.CORRUPTED, block.draw, repetition)
+        estimates.append(_estimate(graph, run, corrupted))
+        for variant, factors_by_method in graphs:
             if repetition < variant.repetitions(block.draw, settings):
-                for method, factors in of_methods.items():
+                for method, factors in factors_by_method.items():
                     run = _Run(variant.name, method, block.draw, repetition)
-                    found.append(_solution(graph, run, factors, odometry))
-    return [each if _wanted(each, settings) else each._replace(poses=None) for each in found]
+                    estimates.append(_solution(graph, run, factors, odometry))
+    # poses are many megabytes, which a worker would have to send
+    return [estimate if _keeps_poses(estimate, settings) else estimate._replace(poses=None) for estimate in estimates]
 
 
 def _solution(graph: SurveyGraph, run: _Run, factors: PoseGraph, odometry: Odometry) -> _Estimate:
@@ -97,40 +106,40 @@ def _solution(graph: SurveyGraph, run: _Run, factors: PoseGraph, odometry: Odome
         poses = factors.solve(odometry)
     except PoseGraphError:
         return _estimate(graph, run, np.full_like(graph.gt, np.nan))
-    made = _estimate(graph, run, poses)
+    estimate = _estimate(graph, run, poses)
     if (run.variant, run.draw, run.repetition) != (TABLE, 0, 0):
-        return made
+        return estimate
     reference = graph.truth if np.isfinite(graph.truth).all() else graph.gt
     nees = slam_errors.pose_nees(factors.position_covariances(odometry, poses), poses, reference)
-    return made._replace(errors={**made.errors, "pose_nees": nees})
+    return estimate._replace(errors={**estimate.errors, "pose_nees": nees})
 
 
 def _estimate(graph: SurveyGraph, run: _Run, poses: np.ndarray) -> _Estimate:
     return _Estimate(run, slam_errors.errors(graph, graph.draws[run.draw].edges, poses), poses)
 
 
-def _wanted(each: _Estimate, settings: Settings) -> bool:
-    """Whether an estimate's map is measured, or its trajectory drawn."""
-    variant, _, draw, repetition = each.run
+def _keeps_poses(estimate: _Estimate, settings: Settings) -> bool:
+    """Return whether an estimate's map is measured, or its trajectory drawn."""
+    variant, _, draw, repetition = estimate.run
     first = variant == TABLE and draw == 0 and repetition < max(1, settings.map_to_map_repetitions)
-    return first and each.poses is not None and bool(np.isfinite(each.poses).all())
+    return first and estimate.poses is not None and bool(np.isfinite(estimate.poses).all())
 
 
-def _map_errors(each: _Estimate, map_errors: Mapping[str, MapError], settings: Settings) -> dict[str, float]:
-    if each.poses is None or each.run.repetition >= settings.map_to_map_repetitions:
+def _map_errors(estimate: _Estimate, map_errors: Mapping[str, MapError], settings: Settings) -> dict[str, float]:
+    if estimate.poses is None or estimate.run.repetition >= settings.map_to_map_repetitions:
         return {}
-    return {column: error(each.poses) for column, error in map_errors.items()}
+    return {column: error(estimate.poses) for column, error in map_errors.items()}
 
 
-def _trajectories(graph: SurveyGraph, found: Sequence[_Estimate]) -> pd.DataFrame:
-    known = {"truth": graph.truth, "gt": graph.gt}
-    solved = {each.run.method: each.poses for each in found if each.poses is not None and each.run.repetition == 0}
-    every = {which: poses for which, poses in known.items() if np.isfinite(poses).all()} | solved
-    return pd.concat([_trajectory(graph, which, poses) for which, poses in every.items()], ignore_index=True)
+def _trajectories(graph: SurveyGraph, estimates: Sequence[_Estimate]) -> pd.DataFrame:
+    references = {catalogue.TRUTH: graph.truth, catalogue.GT: graph.gt}
+    solved = {e.run.method: e.poses for e in estimates if e.poses is not None and e.run.repetition == 0}
+    trajectories = {name: poses for name, poses in references.items() if np.isfinite(poses).all()} | solved
+    return pd.concat([_trajectory(graph, name, poses) for name, poses in trajectories.items()], ignore_index=True)
 
 
-def _trajectory(graph: SurveyGraph, which: str, poses: np.ndarray) -> pd.DataFrame:
+def _trajectory(graph: SurveyGraph, name: str, poses: np.ndarray) -> pd.DataFrame:
     x, y, z = poses[:, :3, 3].T
     yaw = [pose.yaw_of(T) for T in poses]
     columns = {"submap": graph.number, "x_m": x, "y_m": y, "z_m": z, "yaw_rad": yaw}
-    return pd.DataFrame({"survey": graph.survey, "which": which, **columns})
+    return pd.DataFrame({"survey": graph.survey, "which": name, **columns})

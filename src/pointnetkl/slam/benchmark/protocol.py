@@ -1,7 +1,8 @@
-"""The SLAM benchmark's graphs: what corrupts them, and whose covariances are on their edges (Table IV).
+"""The SLAM benchmark's graphs: the noise that corrupts them, and each method's covariances on their edges (Table IV).
 
-The paper's table is of one graph and many noises. Beside it stand some noises on each of some draws of the loop
-closures, and two variants of the table: the other way to count edges, and the authors' slips. See `slam_benchmark`.
+The paper's table has one graph and many draws of the noise. We add a few draws of the noise on each of several draws of
+the loop closures, and two variants of the table: the other way to count edges, and the authors' slips. Module
+`benchmark` runs it.
 """
 
 import zlib
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.covariance import catalogue, gaussian, table
 from pointnetkl.slam.benchmark import authors_slips
 from pointnetkl.slam.benchmark.tables import AUTHORS, TABLE
 from pointnetkl.slam.graph import pose_graph, survey_graph
@@ -22,7 +23,8 @@ from pointnetkl.surveys import pose
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
 
-FEW = ("monte_carlo", "constant", "naive_gicp", "pointnetkl", "network")  # of the variants: the paper's, and our best
+# methods of the variants: the paper's, and our best
+FEW = (catalogue.MONTE_CARLO, catalogue.CONSTANT, catalogue.NAIVE_GICP, catalogue.POINTNETKL, catalogue.NETWORK)
 Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 
 
@@ -32,7 +34,11 @@ class SlamError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Settings:
-    """Section `slam` of the parameters; refused by a ValueError where it makes no sense."""
+    """Section `slam` of the parameters.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
 
     seed: int
     repetitions: int
@@ -45,7 +51,7 @@ class Settings:
     map_thinning: int
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of their range, and another way to count edges than there is."""
+        """Refuse numbers out of their range, and unknown ways to count edges."""
         require_seed(self.seed)
         require_positive(self, "repetitions", "draw_repetitions", "map_thinning")
         require_within(self, 0.1, 1e4, "map_cell_m")
@@ -60,27 +66,27 @@ class Settings:
 
 
 class Variant(NamedTuple):
-    """One way to run the benchmark, and on which methods."""
+    """One way to run the benchmark, and its methods."""
 
     name: str
     edges: str  # all or shared
     methods: Sequence[str]
 
     def repetitions(self, draw: int, settings: Settings) -> int:
-        """Return how many noises a draw of the loop closures gets."""
+        """Return the number of noise draws on a draw of the loop closures."""
         return settings.repetitions if draw == 0 and self.name in (TABLE, AUTHORS) else settings.draw_repetitions
 
 
 def variants(methods: Iterable[str], settings: Settings) -> list[Variant]:
     """Return the table, with all methods, and its variants, with a few of them."""
-    every = list(methods)
-    few = [name for name in FEW if name in every]
+    names = list(methods)
+    few = [name for name in FEW if name in names]
     other = "shared" if settings.edges == "all" else "all"
-    return [Variant(TABLE, settings.edges, every), Variant(other, other, few), Variant(AUTHORS, settings.edges, few)]
+    return [Variant(TABLE, settings.edges, names), Variant(other, other, few), Variant(AUTHORS, settings.edges, few)]
 
 
 def corrupt(graph: SurveyGraph, draw: int, repetition: int, settings: Settings) -> np.ndarray:
-    """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever the method."""
+    """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, which does not depend on the method."""
     seed = [settings.seed, zlib.crc32(graph.survey.encode()), draw, repetition]
     return with_noise(graph, np.random.default_rng(seed), settings.yaw_sigma_rad)
 
@@ -88,46 +94,46 @@ def corrupt(graph: SurveyGraph, draw: int, repetition: int, settings: Settings) 
 def with_noise(graph: SurveyGraph, rng: np.random.Generator, yaw_sigma_rad: float) -> np.ndarray:
     """Return dead reckoning (n - 1, 4, 4) with Gaussian noise on each edge's yaw."""
     exact = pose_graph.between(graph.gt)
-    turns = [pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0.0, yaw_sigma_rad, len(exact))]
-    return exact @ np.array(turns).reshape(-1, 4, 4)
+    rotations = [pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0.0, yaw_sigma_rad, len(exact))]
+    return exact @ np.array(rotations).reshape(-1, 4, 4)
 
 
 def by_method(covariances: pd.DataFrame, floor: float = 0.0) -> dict[str, dict[int, np.ndarray]]:
-    """Return Q (M, M) by method and submap, of covariance tables joined; methods in their order there.
+    """Return Q (M, M) by method and submap of a covariance table, methods in the table's order.
 
     `floor`, m^2, is added to each (gaussian.with_floor).
 
     Raises:
         CovarianceError: a Q is not a covariance.
-        SlamError: there are two for one submap and method.
+        SlamError: a method has two covariances for one submap.
     """
     twice = covariances.duplicated(["method", "submap"])
     if twice.any():
         row = covariances[twice].iloc[0]
         raise SlamError(f"{row['method']} has two covariances for submap {row['submap']}; rename one of the methods")
-    found: dict[str, dict[int, np.ndarray]] = {}
+    covariances_by_method: dict[str, dict[int, np.ndarray]] = {}
     rows = covariances[["method", "submap"]].itertuples(index=False)
     for (method, number), q in zip(rows, table.to_matrices(covariances), strict=True):
         checked = gaussian.check(q, f"submap {number}, {method}")
-        found.setdefault(method, {})[int(number)] = gaussian.with_floor(checked, floor)
-    return found
+        covariances_by_method.setdefault(method, {})[int(number)] = gaussian.with_floor(checked, floor)
+    return covariances_by_method
 
 
 def pose_graphs(graph: SurveyGraph, methods: Methods, variant: Variant, draw: int = 0) -> dict[str, PoseGraph]:
-    """Return each method's factors that no repetition changes: the held first node and a draw's loop closures."""
+    """Return by method the factors that all repetitions share: the held first node and a draw's loop closures."""
     closures, noise = graph.draws[draw], graph.closure_noise
-    made = {}
+    graphs = {}
     for name in variant.methods:
         edges, origin = closures.edges, f"{graph.survey}, {name}"
         full = survey_graph.full_covariances(graph.number, methods[name], closures, noise, origin, variant.edges)
         if variant.name == AUTHORS:
             edges, full = authors_slips.closures(edges, full)
-        made[name] = PoseGraph(graph.gt[0], edges, full)
-    return made
+        graphs[name] = PoseGraph(graph.gt[0], edges, full)
+    return graphs
 
 
-def clouds_of(graph: SurveyGraph, clouds: Mapping[int, np.ndarray]) -> Sequence[np.ndarray]:
-    """Return the nodes' clouds, by submap number, in the nodes' order.
+def node_clouds(graph: SurveyGraph, clouds: Mapping[int, np.ndarray]) -> Sequence[np.ndarray]:
+    """Return the nodes' clouds in the nodes' order, of clouds by submap number.
 
     Raises:
         SlamError: a node's submap has no cloud.

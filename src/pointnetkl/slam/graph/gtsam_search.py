@@ -1,4 +1,4 @@
-"""What every pose graph asks of GTSAM: poses as values, nodes that are held, and a search that ends at a minimum."""
+"""GTSAM for every pose graph: poses as values, held nodes, and a search that ends at a minimum."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -6,26 +6,26 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-_HELD_SIGMA = 1e-6  # metres and radians: a node is held, and this says how
+_HELD_SIGMA = 1e-6  # metres and radians, of the prior that holds a node
 _STEPS = 20
-_STEADY_M = 1e-3  # what a step more may move a pose at a minimum
+_STEADY_M = 1e-3  # at a minimum, another step moves no pose farther
 
 
-class Rest(NamedTuple):
-    """Where a search ended, and what its last undamped step still changed."""
+class End(NamedTuple):
+    """The end of a search, and what its last undamped step still changed."""
 
     poses: np.ndarray  # (n, 4, 4)
-    moved_m: float  # a pose, at most
-    change: float  # of the error, as a share of it
+    moved_m: float  # the farthest that a pose moved
+    change: float  # of the error, relative
 
     @property
     def is_steady(self) -> bool:
-        """Return whether the poses have come to rest."""
+        """Return whether the poses no longer move."""
         return self.moved_m < _STEADY_M
 
 
 def to_values(poses: np.ndarray) -> gtsam.Values:
-    """Return poses (n, 4, 4) as those of nodes 0 to n - 1."""
+    """Return poses (n, 4, 4) as values of nodes 0 to n - 1."""
     values = gtsam.Values()
     for node, T in enumerate(poses):
         values.insert(node, gtsam.Pose3(T))
@@ -40,7 +40,7 @@ def to_poses(values: gtsam.Values) -> np.ndarray:
     return poses
 
 
-def held(poses: Mapping[int, np.ndarray]) -> gtsam.NonlinearFactorGraph:
+def hold(poses: Mapping[int, np.ndarray]) -> gtsam.NonlinearFactorGraph:
     """Return the factors that hold some nodes at poses (4, 4)."""
     model = gtsam.noiseModel.Isotropic.Sigma(6, _HELD_SIGMA)
     factors = gtsam.NonlinearFactorGraph()
@@ -49,7 +49,7 @@ def held(poses: Mapping[int, np.ndarray]) -> gtsam.NonlinearFactorGraph:
     return factors
 
 
-def joined(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+def join(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
     """Return the factors of all parts, in their order."""
     graph = gtsam.NonlinearFactorGraph()
     for part in parts:
@@ -57,42 +57,44 @@ def joined(*parts: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
     return graph
 
 
-def precisely(iterations: int = 100) -> gtsam.LevenbergMarquardtParams:
-    """Return a search that ends at a change of the error by 1e-8 of it; 100 iterations are GTSAM's own."""
-    how = gtsam.LevenbergMarquardtParams()
-    how.setMaxIterations(iterations)
-    how.setRelativeErrorTol(1e-8)  # GTSAM's 1e-5 stops metres short along a bend that closures hardly see
-    how.setAbsoluteErrorTol(1e-8)
-    return how
+def precise_search(iterations: int = 100) -> gtsam.LevenbergMarquardtParams:
+    """Return a search that ends where the error's relative change is 1e-8; 100 iterations are GTSAM's default."""
+    search = gtsam.LevenbergMarquardtParams()
+    search.setMaxIterations(iterations)
+    search.setRelativeErrorTol(1e-8)  # GTSAM's 1e-5 stops metres short along a bend that closures hardly see
+    search.setAbsoluteErrorTol(1e-8)
+    return search
 
 
 def minimum(
-    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, how: gtsam.LevenbergMarquardtParams
+    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, search: gtsam.LevenbergMarquardtParams
 ) -> np.ndarray | None:
-    """Return the poses (n, 4, 4) that a search finds; None if it ends where undamped steps do not come to rest."""
-    found = rest(graph, initial, how)
-    return found.poses if found is not None and found.is_steady else None
+    """Return the poses (n, 4, 4) that a search finds; None if undamped steps from its end still move them."""
+    end = optimise(graph, initial, search)
+    return end.poses if end is not None and end.is_steady else None
 
 
-def rest(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, how: gtsam.LevenbergMarquardtParams) -> Rest | None:
-    """Return where a search ends; None where the linear system has no solution.
+def optimise(
+    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, search: gtsam.LevenbergMarquardtParams
+) -> End | None:
+    """Return the end of a search and of some undamped steps after it; None where the linear system has no solution.
 
-    Undamped steps stand at its end in any case: it stops at a change of the error that may still be centimetres.
+    The search stops at a small change of the error, where poses may still be centimetres from the minimum.
     """
-    further = gtsam.GaussNewtonParams()
-    further.setLinearSolverType(how.getLinearSolverType())
+    undamped = gtsam.GaussNewtonParams()
+    undamped.setLinearSolverType(search.getLinearSolverType())
     try:
-        near = gtsam.LevenbergMarquardtOptimizer(graph, initial, how).optimize()
-        steps, before = gtsam.GaussNewtonOptimizer(graph, near, further), to_poses(near)
+        near = gtsam.LevenbergMarquardtOptimizer(graph, initial, search).optimize()
+        steps, before = gtsam.GaussNewtonOptimizer(graph, near, undamped), to_poses(near)
         for _ in range(_STEPS):
             error = steps.error()
             steps.iterate()
             after = to_poses(steps.values())
             moved = float(np.abs(after - before)[:, :3, 3].max())
-            found = Rest(after, moved, abs(steps.error() - error) / max(error, 1.0))
-            if found.is_steady:  # NaN is not
+            end = End(after, moved, abs(steps.error() - error) / max(error, 1.0))
+            if end.is_steady:  # NaN is not
                 break
             before = after
     except RuntimeError:  # a system that is singular to working precision
         return None
-    return found
+    return end

@@ -1,7 +1,7 @@
 """Pose graphs of submaps, optimised with GTSAM (the PoseSLAM of the paper's Eq. 13).
 
-The noise of an edge from a to b stands in b's frame, rotation first (see `pose`). So a loop closure runs from
-the target k to the source i, and Q_i, which is in submap i's frame, enters as it is.
+The noise of an edge from a to b is in b's frame, rotation first (see `pose`). So a loop closure runs from the target k
+to the source i, and Q_i, which is in submap i's frame, enters unchanged.
 """
 
 import dataclasses
@@ -16,9 +16,9 @@ from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_within
 
-XY_YAW = np.array([3, 4, 2])  # places of x, y and yaw in a tangent vector
+XY_YAW = np.array([3, 4, 2])  # indices of x, y and yaw in a tangent vector
 # Beside variances of 1e-6 m^2 Cholesky cannot solve the system. Levenberg-Marquardt takes that for a bad step, and
-# ends anywhere without a word. QR can, four times as slowly; from far away it may still end in a wrong basin.
+# ends anywhere without an error. QR solves it, four times as slowly; from far away it may still end in a wrong basin.
 _CHOLESKY, _QR = "MULTIFRONTAL_CHOLESKY", "MULTIFRONTAL_QR"
 _SOFTENING_M2 = 1e-2
 _ITERATIONS = 20
@@ -30,7 +30,7 @@ class PoseGraphError(PointNetKLError):
 
 class _Noise:
     def __post_init__(self) -> None:
-        """Refuse standard deviations that are not positive, or that no arithmetic weighs against others."""
+        """Refuse standard deviations that are not positive, or too large or small to weigh against others."""
         require_within(self, 1e-9, 1e6, *vars(self))
 
 
@@ -48,7 +48,7 @@ class DeadReckoningNoise(_Noise):
 
 @dataclass(frozen=True)
 class ClosureNoise(_Noise):
-    """Standard deviations of a loop closure in all but x and y, which have Q; yaw has it too, where it is found."""
+    """Standard deviations of a loop closure in all but x and y, which have Q; so has yaw where it is registered."""
 
     roll_rad: float
     pitch_rad: float
@@ -86,8 +86,8 @@ def chain(first: np.ndarray, relative: np.ndarray) -> np.ndarray:
 def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray | None = None) -> np.ndarray:
     """Return the edges' covariances (e, 6, 6), rotation first, with q (e, 2, 2) in m^2 for x and y.
 
-    With q (e, 3, 3) it is yaw's too; q is then about `levers` (e, 2), metres in the source's frame, and is moved to
-    that frame's origin.
+    q (e, 3, 3) covers yaw too. It is then about `levers` (e, 2), metres in the source's frame, and is moved to that
+    frame's origin.
     """
     full = np.zeros((len(q), 6, 6))
     full[:, range(6), range(6)] = np.array([noise.roll_rad, noise.pitch_rad, noise.yaw_rad, 0.0, 0.0, noise.z_m]) ** 2
@@ -101,7 +101,7 @@ def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray |
 
 
 class Odometry:
-    """Dead reckoning as the graphs of all methods share it: its factors, and the poses that the search starts from."""
+    """Dead reckoning, which the graphs of all methods share: its factors, and the poses where the search starts."""
 
     def __init__(self, relative: np.ndarray, noise: DeadReckoningNoise, initial: np.ndarray) -> None:
         """Take each node's pose in the frame of the one before (n - 1, 4, 4), and initial T_map_submap (n, 4, 4)."""
@@ -112,14 +112,14 @@ class Odometry:
 
 
 class PoseGraph:
-    """The edges that do not change from one corruption to the next: a held first node, and loop closures."""
+    """The factors that no corruption changes: a held first node, and loop closures."""
 
     def __init__(self, first: np.ndarray, closures: Edges, covariances: np.ndarray) -> None:
         """Hold node 0 at `first` (4, 4) and add closures with covariances (e, 6, 6) in their sources' frames.
 
-        GTSAM takes an indefinite covariance without a word: check Q before it comes here.
+        GTSAM accepts an indefinite covariance without an error: check Q before.
         """
-        self._made_of = first, closures, covariances
+        self._arguments = first, closures, covariances
         self._fixed = _fixed(first, closures, covariances)
         self._stiff = False  # whether Cholesky has failed
 
@@ -136,41 +136,41 @@ class PoseGraph:
         Raises:
             PoseGraphError: it ends at no minimum.
         """
-        graph = gtsam_search.joined(self._fixed, odometry.factors)
-        found = None if self._stiff else _minimum(graph, odometry.initial, _CHOLESKY)
-        if found is None:
-            self._stiff = True  # a graph that is so once is so under other noise too
-            near = _minimum(gtsam_search.joined(self._soft, odometry.factors), odometry.initial, _CHOLESKY)
-            found = None if near is None else _minimum(graph, gtsam_search.to_values(near), _QR)
-        if found is None:
+        graph = gtsam_search.join(self._fixed, odometry.factors)
+        poses = None if self._stiff else _minimum(graph, odometry.initial, _CHOLESKY)
+        if poses is None:
+            self._stiff = True  # under other noise it would fail again
+            near = _minimum(gtsam_search.join(self._soft, odometry.factors), odometry.initial, _CHOLESKY)
+            poses = None if near is None else _minimum(graph, gtsam_search.to_values(near), _QR)
+        if poses is None:
             raise PoseGraphError(
                 f"a graph of {odometry.initial.size()} nodes has no solution: the search ends at no minimum; look for"
                 " covariances that are next to singular"
             )
-        return found
+        return poses
 
     def position_covariances(self, odometry: Odometry, poses: np.ndarray) -> np.ndarray:
-        """Return the covariances (n, 2, 2) of x, y, m^2 in the map, that the graph claims of its solution (n, 4, 4)."""
+        """Return the covariances (n, 2, 2) of x, y, m^2 in the map, which the graph claims for poses (n, 4, 4)."""
         solution = gtsam_search.to_values(poses)
-        linear = gtsam_search.joined(self._fixed, odometry.factors).linearize(solution)
+        linear = gtsam_search.join(self._fixed, odometry.factors).linearize(solution)
         try:
             marginals = gtsam.Marginals(linear, solution)
-            of_nodes = np.array([marginals.marginalCovariance(node) for node in range(len(poses))])
+            in_node = np.array([marginals.marginalCovariance(node) for node in range(len(poses))])
         except RuntimeError:  # singular, to Cholesky
-            of_nodes = _marginals(linear)
+            in_node = _marginals(linear)
         R = poses[:, :3, :3]  # a marginal is in its node's own frame
-        return np.asarray((R @ of_nodes[:, 3:, 3:] @ np.swapaxes(R, 1, 2))[:, :2, :2])
+        return np.asarray((R @ in_node[:, 3:, 3:] @ np.swapaxes(R, 1, 2))[:, :2, :2])
 
     @functools.cached_property
     def _soft(self) -> gtsam.NonlinearFactorGraph:
-        """Return the factors with closures less sure: from their solution it is not far, and no wrong basin nearer."""
-        first, closures, covariances = self._made_of
-        more = np.diag([0.0, 0.0, 0.0, _SOFTENING_M2, _SOFTENING_M2, 0.0])
-        return _fixed(first, closures, covariances + more)
+        """Return the factors with less certain closures: their solution is near, and in the right basin."""
+        first, closures, covariances = self._arguments
+        softening = np.diag([0.0, 0.0, 0.0, _SOFTENING_M2, _SOFTENING_M2, 0.0])
+        return _fixed(first, closures, covariances + softening)
 
 
 def _fixed(first: np.ndarray, closures: Edges, covariances: np.ndarray) -> gtsam.NonlinearFactorGraph:
-    factors = gtsam_search.held({0: first})
+    factors = gtsam_search.hold({0: first})
     for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         factors.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
@@ -188,5 +188,5 @@ def _marginals(linear: gtsam.GaussianFactorGraph) -> np.ndarray:
     """Return the nodes' covariances (n, 6, 6), by QR."""
     order = gtsam.Ordering.NaturalGaussianFactorGraph(linear)
     root, _ = linear.eliminateSequential(order, gtsam.EliminateQR).matrix()
-    of_node = linalg.solve_triangular(root, np.eye(len(root))).reshape(-1, 6, len(root))
-    return of_node @ np.swapaxes(of_node, 1, 2)
+    blocks = linalg.solve_triangular(root, np.eye(len(root))).reshape(-1, 6, len(root))
+    return blocks @ np.swapaxes(blocks, 1, 2)

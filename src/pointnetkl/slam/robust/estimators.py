@@ -1,7 +1,7 @@
-"""Pose graphs some of whose loop closures are wrong: robust kernels, and graduated non-convexity, by GTSAM.
+"""Robust estimators for pose graphs with wrong loop closures: kernels and graduated non-convexity, by GTSAM.
 
-Each judges a loop closure by the length of its whitened residual, so that a Q which is too small makes true closures
-look wrong, and one which is too large lets wrong ones pass.
+An estimator weighs a loop closure by the length of its whitened residual. So a Q that is too small makes true closures
+look wrong, and a Q that is too large lets wrong ones pass.
 """
 
 from collections.abc import Callable, Iterable
@@ -17,7 +17,7 @@ from pointnetkl.slam.robust import tables
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive
 
-ACCEPTED = 0.5  # of a closure's weight in the solution: above it the estimator took the closure for true
+ACCEPTED = 0.5  # a closure with a larger weight counts as accepted
 _ESTIMATORS: dict[str, Callable[[float], Any]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
     "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
@@ -31,7 +31,7 @@ class RobustError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Thresholds:
-    """From where on a robust estimator doubts a loop closure.
+    """Where a robust estimator begins to doubt a loop closure.
 
     Raises:
         ValueError: a threshold is not positive, or a probability not below 1.
@@ -41,7 +41,7 @@ class Thresholds:
     cauchy: float
     dcs: float  # Phi, a squared length
     gnc_probability: float  # of the chi-square distribution of a true closure's squared length, 6 degrees of freedom
-    gnc_step: float  # what the control parameter is multiplied by from one problem to the next
+    gnc_step: float  # factor of the control parameter from one problem to the next
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -54,7 +54,7 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Solution:
-    """Poses, and how far each loop closure was believed."""
+    """Poses, and the weight of each loop closure."""
 
     values: gtsam.Values
     poses: np.ndarray  # (n, 4, 4) T_map_submap
@@ -62,27 +62,27 @@ class Solution:
 
 
 class RobustGraph:
-    """A graph with loop closures that may be wrong; its other factors are beyond doubt."""
+    """A graph with loop closures that may be wrong; its other factors are trusted."""
 
     def __init__(
         self,
-        sure: gtsam.NonlinearFactorGraph,
+        trusted: gtsam.NonlinearFactorGraph,
         initial: gtsam.Values,
         closures: Edges,
         covariances: np.ndarray,
         thresholds: Thresholds,
     ) -> None:
-        """Take what is sure, held nodes among it, and closures with covariances (e, 6, 6) in their sources' frames."""
-        self._sure, self._initial, self._thresholds = sure, initial, thresholds
+        """Take trusted factors (also held nodes), and closures with covariances (e, 6, 6) in their sources' frames."""
+        self._trusted, self._initial, self._thresholds = trusted, initial, thresholds
         self._pairs = [
             (int(k), int(i), gtsam.Pose3(T))
             for k, i, T in zip(closures.target, closures.source, closures.measured, strict=True)
         ]
         self._models = [gtsam.noiseModel.Gaussian.Covariance(covariance) for covariance in covariances]
-        self._plain = self._closures(self._models)
+        self._plain = self._factors(self._models)
 
     def solve(self, kernel: str, start: Solution | None = None) -> Solution:
-        """Return what one of tables.KERNELS makes of the graph, from a solution or else from the initial poses.
+        """Return the solution by one of tables.KERNELS, from an earlier solution or else from the initial poses.
 
         Raises:
             RobustError: the linear system has no solution, or the answer is not finite.
@@ -98,41 +98,43 @@ class RobustGraph:
         closures, estimator = self._plain, None
         if kernel != tables.PLAIN:
             estimator = _ESTIMATORS[kernel](getattr(self._thresholds, kernel))
-            closures = self._closures([gtsam.noiseModel.Robust.Create(estimator, model) for model in self._models])
+            closures = self._factors([gtsam.noiseModel.Robust.Create(estimator, model) for model in self._models])
         initial = self._initial if start is None else start.values
-        values = gtsam.LevenbergMarquardtOptimizer(self._with(closures), initial, gtsam_search.precisely()).optimize()
+        values = gtsam.LevenbergMarquardtOptimizer(
+            self._with(closures), initial, gtsam_search.precise_search()
+        ).optimize()
         lengths = self._lengths(values)
         weights = np.ones(len(lengths)) if estimator is None else np.array([estimator.weight(d) for d in lengths])
         return Solution(values, _poses(values), weights)
 
     def _gnc(self, start: Solution | None) -> Solution:
-        sure = self._sure.size()
-        how = gtsam.GncLMParams(gtsam_search.precisely())
-        how.setLossType(gtsam.GncLossType.TLS)
-        how.setKnownInliers(list(range(sure)))
-        how.setLambdaStep(self._thresholds.gnc_step)
+        trusted = self._trusted.size()
+        parameters = gtsam.GncLMParams(gtsam_search.precise_search())
+        parameters.setLossType(gtsam.GncLossType.TLS)
+        parameters.setKnownInliers(list(range(trusted)))
+        parameters.setLambdaStep(self._thresholds.gnc_step)
         initial = self._initial if start is None else start.values
-        search = gtsam.GncLMOptimizer(self._with(self._plain), initial, how)
+        search = gtsam.GncLMOptimizer(self._with(self._plain), initial, parameters)
         search.setInlierCostThresholdsAtProbability(self._thresholds.gnc_probability)
-        if start is not None:  # or its first problem would believe every closure again, and leave the start
-            limits = 2 * np.ravel(search.getInlierCostThresholds())[sure:]  # GTSAM's costs are halves
-            search.setWeights(np.concatenate([np.ones(sure), self._lengths(initial) ** 2 <= limits]))
+        if start is not None:  # else the first problem accepts every closure, and leads away from the start
+            limits = 2 * np.ravel(search.getInlierCostThresholds())[trusted:]  # GTSAM's costs are halves
+            search.setWeights(np.concatenate([np.ones(trusted), self._lengths(initial) ** 2 <= limits]))
         values = search.optimize()
         self._lengths(values)
-        return Solution(values, _poses(values), np.ravel(search.getWeights())[sure:])
+        return Solution(values, _poses(values), np.ravel(search.getWeights())[trusted:])
 
     def _lengths(self, values: gtsam.Values) -> np.ndarray:
         """Return the lengths (e,) of the closures' whitened residuals."""
         lengths = np.sqrt([2 * factor.error(values) for factor in self._plain])
-        if not np.isfinite(lengths).all():  # GTSAM's searches end without a word where they begin
+        if not np.isfinite(lengths).all():  # where it fails, GTSAM's search returns its first poses without an error
             raise RobustError(f"a graph of {values.size()} nodes has residuals that are not numbers")
         return np.asarray(lengths)
 
-    def _closures(self, models: Iterable[gtsam.noiseModel.Base]) -> list[gtsam.BetweenFactorPose3]:
+    def _factors(self, models: Iterable[gtsam.noiseModel.Base]) -> list[gtsam.BetweenFactorPose3]:
         return [gtsam.BetweenFactorPose3(*pair, model) for pair, model in zip(self._pairs, models, strict=True)]
 
     def _with(self, closures: list[gtsam.BetweenFactorPose3]) -> gtsam.NonlinearFactorGraph:
-        graph = gtsam.NonlinearFactorGraph(self._sure)
+        graph = gtsam.NonlinearFactorGraph(self._trusted)
         for factor in closures:
             graph.add(factor)
         return graph

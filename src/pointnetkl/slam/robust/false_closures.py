@@ -1,4 +1,4 @@
-"""Loop closures that are not true: between submaps that do not overlap, and say that they do."""
+"""False loop closures: edges between submaps that do not overlap."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from pointnetkl.slam.graph.pose_graph import Edges
 
 
 def counts(true: int, shares: Sequence[float]) -> list[int]:
-    """Return how many false closures beside `true` ones make each share of all that are false."""
+    """Return the number of false closures that, beside `true` ones, makes up each share of all closures."""
     return [round(true * share / (1 - share)) for share in shares]
 
 
@@ -17,21 +17,20 @@ def pairs_apart(coverages: np.ndarray) -> np.ndarray:
     return np.argwhere(np.triu((coverages == 0) & (coverages.T == 0), 2))
 
 
-def draw(true: Edges, gt: np.ndarray, apart: np.ndarray, count: int, rng: np.random.Generator) -> Edges:
-    """Return so many false closures of pairs that lie apart (p, 2), each pair once as long as there are others.
+def draw(true: Edges, gt: np.ndarray, pairs: np.ndarray, count: int, rng: np.random.Generator) -> Edges:
+    """Return `count` false closures between pairs (p, 2) of nodes apart; a pair repeats only after all have been used.
 
-    As the front end makes them: x, y of one true closure, which a registration of wrong ground might have found, and
+    They look as the front end makes them: x, y of a true closure, as a registration on wrong ground might find, and
     z, roll, pitch and yaw of GT (n, 4, 4).
     """
-    chosen = rng.permutation(apart)[np.arange(count) % len(apart)]
-    target, source = chosen.T
+    target, source = rng.permutation(pairs)[np.arange(count) % len(pairs)].T
     measured = np.linalg.inv(gt[target]) @ gt[source]
     measured[:, :2, 3] = true.measured[rng.integers(len(true.source), size=count), :2, 3]
     return Edges(target, source, measured)
 
 
-def joined(true: Edges, false: Edges, count: int) -> Edges:
-    """Return the true closures, then the first so many false ones."""
+def join(true: Edges, false: Edges, count: int) -> Edges:
+    """Return the true closures, then the first `count` false ones."""
     return Edges(
         target=np.concatenate([true.target, false.target[:count]]),
         source=np.concatenate([true.source, false.source[:count]]),

@@ -1,4 +1,4 @@
-"""The front end's loop gate: which pairs of submaps it joined, and which really cover each other."""
+"""The front end's loop gate: the pairs of submaps that it joined, and the pairs that really cover each other."""
 
 from collections.abc import Sequence
 
@@ -14,12 +14,12 @@ from pointnetkl.surveys import pose
 
 
 def coverages(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> np.ndarray:
-    """Return (n, n): the share of submap i's footprint that submap k's has too, clouds in submap frames.
+    """Return (n, n): the share of submap i's footprint that submap k's has too.
 
-    `poses` (n, 4, 4) are T_map_submap, `cell` the footprint's cells in metres.
+    `clouds` (n_i, 3) are in submap frames, `poses` (n, 4, 4) are T_map_submap, `cell` is the size of the cells, metres.
     """
     cells = [footprint.cells(pose.transform(T, points), cell) for T, points in zip(poses, clouds, strict=True)]
-    counts = np.array([len(each) for each in cells])
+    counts = np.array([len(keys) for keys in cells])
     _, column = np.unique(np.concatenate(cells), return_inverse=True)
     row = np.repeat(np.arange(len(cells)), counts)
     occupied = sparse.csr_array((np.ones(len(row), np.int64), (row, column)))
@@ -31,19 +31,22 @@ def table(
 ) -> pd.DataFrame:
     """Return the gate's counts (tables.GATE) for pairs of which the earlier covers `coverage` of the later.
 
-    Of the graph's loop closures, which Algorithm 1 found at GT as it corrected it; and of pairs that cover as much at
-    navigation's poses, and at corrupted ones (each n, 4, 4), where nobody has corrected anything.
+    Rows are for the graph's loop closures, which Algorithm 1 found at GT as it corrected it, and for pairs that cover
+    as much at poses that nothing has corrected: navigation's, and corrupted ones (each n, 4, 4).
     """
-    due = None if np.isnan(graph.truth).any() else _covering(clouds, graph.truth, cell, coverage)
-    tried = [(tables.GRAPH, draw, _joined(each.edges, len(clouds))) for draw, each in enumerate(graph.draws)]
+    covering = None if np.isnan(graph.truth).any() else _covering(clouds, graph.truth, cell, coverage)
+    tried = [(tables.GRAPH, draw, _joined(closures.edges, len(clouds))) for draw, closures in enumerate(graph.draws)]
     tried.append((tables.NAVIGATION, 0, _covering(clouds, graph.navigation, cell, coverage)))
     tried += [(tables.CORRUPTED, i, _covering(clouds, T, cell, coverage)) for i, T in enumerate(corrupted)]
-    rows = [{"survey": graph.survey, "at": at, "draw": draw, **_counts(joined, due)} for at, draw, joined in tried]
+    rows = [
+        {"survey": graph.survey, "at": poses, "draw": draw, **_counts(joined, covering)}
+        for poses, draw, joined in tried
+    ]
     return pd.DataFrame(rows, columns=tables.GATE.names)
 
 
 def _covering(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float, coverage: float) -> np.ndarray:
-    """Return (n, n): whether the gate lets a pair i, k pass; the submap before is never asked."""
+    """Return (n, n): whether the gate lets pair i, k pass; k = i - 1 never passes."""
     return np.tril(coverages(clouds, poses, cell) >= coverage, -2)
 
 
@@ -53,7 +56,7 @@ def _joined(edges: Edges, n: int) -> np.ndarray:
     return joined
 
 
-def _counts(joined: np.ndarray, due: np.ndarray | None) -> dict[str, float]:
-    if due is None:
+def _counts(joined: np.ndarray, covering: np.ndarray | None) -> dict[str, float]:
+    if covering is None:
         return {"joined": joined.sum(), "covering": np.nan, "both": np.nan}
-    return {"joined": joined.sum(), "covering": float(due.sum()), "both": float((joined & due).sum())}
+    return {"joined": joined.sum(), "covering": float(covering.sum()), "both": float((joined & covering).sum())}

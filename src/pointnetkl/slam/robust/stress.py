@@ -1,7 +1,8 @@
-"""What wrong loop closures do to SLAM, and robust estimators against them, with each method's covariances."""
+"""The benchmark of false loop closures: SLAM with robust estimators, each with every method's covariances."""
 
 import dataclasses
 import functools
+import itertools
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,17 +22,21 @@ from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
 
-_NOISE, _FALSE = 0, 1  # streams of random numbers
+_NOISE, _FALSE = 0, 1  # streams of random numbers: of the yaw noise, and of the false closures
 Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 
 
 class StressError(PointNetKLError):
-    """The benchmark of wrong loop closures cannot run on these covariances."""
+    """The benchmark of false loop closures cannot run on these covariances."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Section `stress` of the parameters; refused by a ValueError where it makes no sense."""
+    """Section `stress` of the parameters.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
 
     seed: int
     methods: list[str]
@@ -54,21 +59,21 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Case:
-    """What every repetition is made of."""
+class Experiment:
+    """What all repetitions have in common."""
 
     graph: SurveyGraph
     methods: Methods
-    apart: np.ndarray  # (p, 2) pairs of nodes whose submaps do not overlap
+    pairs_apart: np.ndarray  # (p, 2) nodes whose submaps do not overlap
     yaw_sigma_rad: float  # of the noise on dead reckoning
     settings: Settings
 
 
-def chosen(covariances: Methods, settings: Settings, survey: str) -> dict[str, Mapping[int, np.ndarray]]:
-    """Return the methods that the settings name.
+def select_methods(covariances: Methods, settings: Settings, survey: str) -> dict[str, Mapping[int, np.ndarray]]:
+    """Return the covariances of the methods that the settings name.
 
     Raises:
-        StressError: there is no such method.
+        StressError: one of them has no covariances.
     """
     if missing := [name for name in settings.methods if name not in covariances]:
         raise StressError(
@@ -77,60 +82,62 @@ def chosen(covariances: Methods, settings: Settings, survey: str) -> dict[str, M
     return {name: covariances[name] for name in settings.methods}
 
 
-def benchmark(case: Case) -> pd.DataFrame:
+def benchmark(experiment: Experiment) -> pd.DataFrame:
     """Return tables.ROWS; repetitions run in parallel, and a survey that closes no loop has only share 0."""
-    doing = f"wrong loop closures, {case.graph.survey}"
-    rows = compute.over(
-        functools.partial(_repetition, case), range(case.settings.repetitions), doing, unit="repetition"
-    )
-    return pd.DataFrame([row for each in rows for row in each], columns=tables.ROWS.names)
+    repeat = functools.partial(_repetition, experiment)
+    label = f"wrong loop closures, {experiment.graph.survey}"
+    repetitions = compute.over(repeat, range(experiment.settings.repetitions), label, unit="repetition")
+    return pd.DataFrame(list(itertools.chain.from_iterable(repetitions)), columns=tables.ROWS.names)
 
 
-def corrupt(case: Case, repetition: int) -> np.ndarray:
-    """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same whatever kernel and method."""
-    return protocol.with_noise(case.graph, _rng(case, repetition, _NOISE), case.yaw_sigma_rad)
+def corrupt(experiment: Experiment, repetition: int) -> np.ndarray:
+    """Return dead reckoning (n - 1, 4, 4) with noise on each edge's yaw, the same for all kernels and methods."""
+    return protocol.with_noise(experiment.graph, _rng(experiment, repetition, _NOISE), experiment.yaw_sigma_rad)
 
 
-def corrupted_poses(case: Case, repetition: int) -> np.ndarray:
-    """Return the poses (n, 4, 4) that corrupted dead reckoning makes."""
-    return pose_graph.chain(case.graph.gt[0], corrupt(case, repetition))
+def corrupted_poses(experiment: Experiment, repetition: int) -> np.ndarray:
+    """Return the poses (n, 4, 4) by corrupted dead reckoning."""
+    return pose_graph.chain(experiment.graph.gt[0], corrupt(experiment, repetition))
 
 
-def with_false(case: Case, repetition: int) -> list[tuple[float, Edges]]:
-    """Return each share with a repetition's closures: true ones, then false ones, of which the lower shares have fewer.
+def with_false(experiment: Experiment, repetition: int) -> list[tuple[float, Edges]]:
+    """Return each share with a repetition's closures: the true ones, then false ones.
 
-    Only share 0 where there is no loop closure to be like, or no pair of submaps apart.
+    A lower share has the first of the false closures of a higher one. There is only share 0 where no true closure is
+    there to imitate, or no pair of submaps lies apart.
     """
-    graph, shares = case.graph, case.settings.shares
+    graph, shares = experiment.graph, experiment.settings.shares
     true = graph.draws[repetition % len(graph.draws)].edges
-    if len(true.source) == 0 or len(case.apart) == 0:
+    if len(true.source) == 0 or len(experiment.pairs_apart) == 0:
         return [(0.0, true)]
     counts = false_closures.counts(len(true.source), shares)
-    false = false_closures.draw(true, graph.gt, case.apart, counts[-1], _rng(case, repetition, _FALSE))
-    return [(share, false_closures.joined(true, false, n)) for share, n in zip(shares, counts, strict=True)]
+    false = false_closures.draw(
+        true, graph.gt, experiment.pairs_apart, counts[-1], _rng(experiment, repetition, _FALSE)
+    )
+    return [(share, false_closures.join(true, false, count)) for share, count in zip(shares, counts, strict=True)]
 
 
-def _repetition(case: Case, repetition: int) -> list[dict[str, Any]]:
-    graph, settings = case.graph, case.settings
+def _repetition(experiment: Experiment, repetition: int) -> list[dict[str, Any]]:
+    graph, settings = experiment.graph, experiment.settings
     draw = repetition % len(graph.draws)
-    true, initial = graph.draws[draw], corrupted_poses(case, repetition)
-    odometry = pose_graph.Odometry(corrupt(case, repetition), graph.dead_reckoning_noise, initial)
-    sure = gtsam_search.joined(gtsam_search.held({0: graph.gt[0]}), odometry.factors)
+    true, initial = graph.draws[draw], corrupted_poses(experiment, repetition)
+    odometry = pose_graph.Odometry(corrupt(experiment, repetition), graph.dead_reckoning_noise, initial)
+    trusted = gtsam_search.join(gtsam_search.hold({0: graph.gt[0]}), odometry.factors)
     rows = []
-    for method, q in case.methods.items():
-        for share, edges in with_false(case, repetition):
-            every, origin = dataclasses.replace(true, edges=edges), f"{graph.survey}, {method}"
-            full = survey_graph.full_covariances(graph.number, q, every, graph.closure_noise, origin)
-            made = RobustGraph(sure, odometry.initial, edges, full, settings.thresholds)
-            what = {"survey": graph.survey, "method": method, "share": share, "draw": draw, "repetition": repetition}
-            for kernel, start, solution in _solutions(made, repetition < settings.corrupted_repetitions):
-                found = _judged(graph, true.edges, edges, solution)
-                rows.append({**what, "kernel": kernel, "start": start, **found})
+    for method, q in experiment.methods.items():
+        for share, edges in with_false(experiment, repetition):
+            closures, origin = dataclasses.replace(true, edges=edges), f"{graph.survey}, {method}"
+            full = survey_graph.full_covariances(graph.number, q, closures, graph.closure_noise, origin)
+            robust_graph = RobustGraph(trusted, odometry.initial, edges, full, settings.thresholds)
+            run = {"survey": graph.survey, "method": method, "share": share, "draw": draw, "repetition": repetition}
+            for kernel, start, solution in _solutions(robust_graph, repetition < settings.corrupted_repetitions):
+                measures = _measures(graph, true.edges, edges, solution)
+                rows.append({**run, "kernel": kernel, "start": start, **measures})
     return rows
 
 
 def _solutions(graph: RobustGraph, from_corrupted: bool) -> Iterator[tuple[str, str, Solution | None]]:
-    """Yield kernel, start and solution, None where there is none."""
+    """Yield kernel, start and solution; None where the kernel finds no solution."""
     first = _attempt(graph, tables.FIRST, None)
     for kernel in tables.KERNELS:
         if kernel in (tables.PLAIN, tables.FIRST):
@@ -148,7 +155,7 @@ def _attempt(graph: RobustGraph, kernel: str, start: Solution | None) -> Solutio
         return None
 
 
-def _judged(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | None) -> dict[str, Any]:
+def _measures(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | None) -> dict[str, Any]:
     count = len(true.source)
     closures = {"true_closures": count, "false_closures": len(edges.source) - count}
     if solution is None:
@@ -165,5 +172,6 @@ def _judged(graph: SurveyGraph, true: Edges, edges: Edges, solution: Solution | 
     }
 
 
-def _rng(case: Case, repetition: int, stream: int) -> np.random.Generator:
-    return np.random.default_rng([case.settings.seed, zlib.crc32(case.graph.survey.encode()), repetition, stream])
+def _rng(experiment: Experiment, repetition: int, stream: int) -> np.random.Generator:
+    survey = zlib.crc32(experiment.graph.survey.encode())
+    return np.random.default_rng([experiment.settings.seed, survey, repetition, stream])
