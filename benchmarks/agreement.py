@@ -95,9 +95,9 @@ def compare(
     ours, stopped = pair.ours(moves, noise, fine), pair.ours(moves, noise, production)
     runs = arguments.runs
     theirs, converged = pair.reference(moves[:runs], noise)
-    distance = np.linalg.norm(ours.translation[:runs] - theirs, axis=1)
+    distance = np.linalg.norm(ours.T_target_copy.translation[:runs] - theirs, axis=1)
     far = np.flatnonzero(distance >= NEAR_M)[: max(listed, 0)]
-    early = np.linalg.norm(ours.translation - stopped.translation, axis=1)
+    early = np.linalg.norm(ours.T_target_copy.translation - stopped.T_target_copy.translation, axis=1)
     row = {
         "submap": f"{ground.survey} {number}",
         "slope": ground.slope,
@@ -105,13 +105,13 @@ def compare(
         "within_1mm": float(np.mean(distance < NEAR_M)),
         "median_mm": 1e3 * float(np.median(distance)),
         "largest_mm": 1e3 * float(distance.max()),
-        **_kl("kl", moves[:runs], ours.translation[:runs], theirs),
+        **_kl("kl", moves[:runs], ours.T_target_copy.translation[:runs], theirs),
         "converged": float(ours.converged[:runs].mean()),
         "reference_converged": float(converged.mean()),
         "iterations": float(ours.iterations.mean()),
         "production_within_1mm": float(np.mean(early < NEAR_M)),
         "production_largest_mm": 1e3 * float(early.max()),
-        **_kl("production_kl", moves, ours.translation, stopped.translation),
+        **_kl("production_kl", moves, ours.T_target_copy.translation, stopped.T_target_copy.translation),
         "production_iterations": float(stopped.iterations.mean()),
     }
     return row, [pair.explain(moves[i], dataclasses.replace(noise, first=int(i)), theirs[i]) for i in far]

@@ -76,8 +76,8 @@ class Contest:
             turned = gicp.register_noisy(*arguments[:-1], replace(self._registration, dof="xyyaw"))
         with drawing:
             noise.of_runs(len(moves), len(self._points))
-        self._errors["ours"].append(moves + found.translation)
-        self._errors["ours_yaw"].append(moves + turned.translation)
+        self._errors["ours"].append(moves + found.T_target_copy.translation)
+        self._errors["ours_yaw"].append(moves + turned.T_target_copy.translation)
         return {
             "ours_ms": full.ms / len(moves),
             "ours_prepared_ms": prepared.ms / len(moves),

@@ -68,7 +68,7 @@ class Pair:
         copy, ours = self._copy(move, noise), self.ours(move[None], noise, self.settings)
         steps = int(ours.iterations[0])
         path = [_NONE] + [
-            self.ours(move[None], noise, replace(self.settings, max_iterations=k)).translation[0]
+            self.ours(move[None], noise, replace(self.settings, max_iterations=k)).T_target_copy.translation[0]
             for k in range(1, steps + 1)
         ]
         one = replace(self.settings, max_iterations=1)

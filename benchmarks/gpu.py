@@ -95,7 +95,7 @@ def of_submap(bench: Bench, name: str, arguments: argparse.Namespace) -> Row:
     here, there = (bench.register(name, arguments.checked, engine) for engine in ("cpu", "cuda"))
     apart = np.linalg.norm(here.translation - there.translation, axis=1)
     moves, _ = bench.draws(name, arguments.checked)
-    p, q = (monte_carlo.covariance(moves + found.translation) for found in (here, there))
+    p, q = (monte_carlo.covariance(moves + found.T_target_copy.translation) for found in (here, there))
     seconds, iterations = kernel_alone(bench, name, arguments)
     return {
         "submap": name,

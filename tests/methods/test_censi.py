@@ -21,9 +21,9 @@ def pair(dof: str, kind: str = "rugged") -> tuple[gicp.Linearised, np.ndarray, n
     target, source = (gicp.prepare(submap(kind, number, 300).points, settings) for number in (0, 1))
     found = gicp.register(source, target, settings)
     normals = source.normals.astype(float)
-    solution = gicp.linearise(source.points, normals, target, found.translation, found.yaw, settings)
+    solution = gicp.linearise(source.points, normals, target, found.T_target_source, settings)
     assert len(np.unique(solution.matches)) < len(solution.matches) == len(source.points)
-    fixed = target.points - target.centre - [*found.translation, 0]
+    fixed = target.points - target.centre - [*found.T_target_source.translation, 0]
     return solution, fixed[solution.matches] - solution.residuals, fixed
 
 

@@ -9,7 +9,7 @@ import reference_gicp
 import terrains
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import kernel, registration
-from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2, rotate
 
 SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
 FINE = dataclasses.replace(SETTINGS, tolerance_m=1e-6, max_iterations=200)
@@ -30,7 +30,7 @@ def with_yaw(settings: gicp.Settings) -> gicp.Settings:
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_the_kernel_agrees_with_the_reference_within_a_millimetre(kind: str) -> None:
     cloud = gicp.prepare(terrains.cloud(kind, 400), FINE)
-    found = gicp.register_noisy(cloud, cloud, moves(100), NOISE, FINE).translation
+    found = gicp.register_noisy(cloud, cloud, moves(100), NOISE, FINE).T_target_copy.translation
     normals = reference_gicp.normals(cloud.points, cloud.lists)
     expected = []
     for move, some in zip(moves(100), NOISE.of_runs(100, len(cloud.points)), strict=True):
@@ -44,11 +44,11 @@ def test_the_kernel_agrees_with_the_reference_within_a_millimetre(kind: str) -> 
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_information_is_that_of_the_reference(kind: str) -> None:
     source, target = (gicp.prepare(terrains.cloud(kind, 400, p), FINE) for p in (1, 2))
-    ours = gicp.register(source, target, FINE, (1.0, -1.0))
+    ours = gicp.register(source, target, FINE, SE2(np.array([1.0, -1.0]), 0.0))
     moved = source.points + np.array([1.0, -1.0, 0.0])
     normals = [reference_gicp.normals(c.points, c.lists) for c in (source, target)]
     theirs, information, _ = reference_gicp.register(moved, normals[0], target.points, normals[1], FINE)
-    assert np.allclose(ours.translation, theirs + np.array([1.0, -1.0]), atol=1e-4)
+    assert np.allclose(ours.T_target_source.translation, theirs + np.array([1.0, -1.0]), atol=1e-4)
     assert np.allclose(ours.information, information, rtol=1e-3, atol=1e-3 * information.max())
 
 
@@ -79,16 +79,16 @@ def test_a_cloud_moved_over_itself_is_moved_back(kind: str) -> None:
     found = gicp.register(gicp.prepare(points + np.array([2.0, -1.5, 0.0]), SETTINGS), target, SETTINGS)
     assert found.converged
     assert found.matched_share == 1
-    assert np.allclose(found.translation, [-2.0, 1.5], atol=1e-3)
+    assert np.allclose(found.T_target_source.translation, [-2.0, 1.5], atol=1e-3)
 
 
 def test_another_pass_over_rugged_ground_is_found_within_centimetres_wherever_the_map_lies() -> None:
     for origin in ([0.0, 0.0, 0.0], [650_000.0, 6_400_000.0, -350.0]):
         target = gicp.prepare(terrains.cloud("rugged", 4000, 1) + origin, SETTINGS)
         source = gicp.prepare(terrains.cloud("rugged", 2000, 2, 60.0) + origin + [31.0, 20.0, 0.0], SETTINGS)
-        found = gicp.register(source, target, SETTINGS, (-30.0, -21.0))
+        found = gicp.register(source, target, SETTINGS, SE2(np.array([-30.0, -21.0]), 0.0))
         assert found.converged
-        assert np.allclose(found.translation, [-31.0, -20.0], atol=0.1)
+        assert np.allclose(found.T_target_source.translation, [-31.0, -20.0], atol=0.1)
 
 
 def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
@@ -98,7 +98,7 @@ def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (source, target)]
     theirs = o3d.pipelines.registration.registration_generalized_icp(*clouds, 20.0).transformation[:2, 3]
     ours = gicp.register(*(gicp.prepare(points, SETTINGS) for points in (source, target)), SETTINGS)
-    assert np.allclose(ours.translation, theirs, atol=0.05)
+    assert np.allclose(ours.T_target_source.translation, theirs, atol=0.05)
 
 
 @pytest.mark.parametrize("kind", EVERY_KIND)
@@ -112,7 +112,7 @@ def test_the_kernel_with_yaw_agrees_with_the_reference_within_a_millimetre_and_a
         moved = target + np.append(move, 0) + some
         moved_normals = reference_gicp.normals(moved, cloud.lists)
         expected.append(reference_gicp.register_with_yaw(moved, moved_normals, target, normals, FINE))
-    apart = np.abs(np.column_stack([found.translation, found.yaw]) - np.stack(expected))
+    apart = np.abs(found.T_target_copy.to_vector() - np.stack(expected))
     assert np.mean((apart < [1e-3, 1e-3, 1e-5]).all(axis=1)) >= 0.97
 
 
@@ -123,39 +123,37 @@ def test_a_cloud_turned_over_itself_is_turned_back() -> None:
     turned = (points - target.centre) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + target.centre + [1.0, -0.5, 0.0]
     found = gicp.register(gicp.prepare(turned, SETTINGS), target, with_yaw(SETTINGS))
     assert found.converged
-    assert np.isclose(found.yaw, -0.02, atol=1e-5)
+    assert np.isclose(found.T_target_source.yaw, -0.02, atol=1e-5)
     # it is turned about the target's centre first, with its own centre at (1, -0.5), then translated
-    assert np.allclose(found.translation, -np.array([[c, s], [-s, c]]) @ [1.0, -0.5], atol=1e-3)
+    assert np.allclose(found.T_target_source.translation, -np.array([[c, s], [-s, c]]) @ [1.0, -0.5], atol=1e-3)
 
 
 def test_yaw_is_free_to_take_what_a_turned_copy_would_else_put_into_translation() -> None:
     cloud = gicp.prepare(terrains.cloud("ridge", 2000), SETTINGS)
     one, three = (gicp.register_noisy(cloud, cloud, moves(100), NOISE, s) for s in (SETTINGS, with_yaw(SETTINGS)))
-    assert np.array_equal(one.yaw, np.zeros(100))
-    assert 1e-6 < three.yaw.std() < 1e-2
-    assert (three.translation + moves(100))[:, 1].std() < 0.1  # across the ridge
+    assert np.array_equal(one.T_target_copy.yaw, np.zeros(100))
+    assert 1e-6 < np.asarray(three.T_target_copy.yaw).std() < 1e-2
+    assert (three.T_target_copy.translation + moves(100))[:, 1].std() < 0.1  # across the ridge
 
 
 def test_a_search_may_begin_turned() -> None:
     points = terrains.cloud("rugged", 2000) + np.array([50.0, -20.0, 0.0])
     target = gicp.prepare(points, SETTINGS)
     turn, move = 2.0, np.array([4.0, -2.0])  # too far to be found from where the cloud is
-    away = pose.turned(points[:, :2] - target.centre[:2] - move, -turn) + target.centre[:2]
+    away = rotate(points[:, :2] - target.centre[:2] - move, -turn) + target.centre[:2]
     source = gicp.prepare(np.column_stack([away, points[:, 2]]), SETTINGS)
-    found = gicp.register(source, target, with_yaw(SETTINGS), (3.5, -1.7, 1.99))
-    assert found.yaw == pytest.approx(turn, abs=1e-4)
-    assert found.translation == pytest.approx(move, abs=1e-2)
-    assert abs(gicp.register(source, target, with_yaw(SETTINGS)).yaw - turn) > 0.1
+    found = gicp.register(source, target, with_yaw(SETTINGS), SE2(np.array([3.5, -1.7]), 1.99))
+    assert found.T_target_source.yaw == pytest.approx(turn, abs=1e-4)
+    assert found.T_target_source.translation == pytest.approx(move, abs=1e-2)
+    assert abs(gicp.register(source, target, with_yaw(SETTINGS)).T_target_source.yaw - turn) > 0.1
     noisy = gicp.register_noisy(source, target, np.array([[0.0, 0.0, 1.99]]), NOISE, with_yaw(SETTINGS))
-    assert noisy.yaw == pytest.approx([turn], abs=1e-2)
+    assert noisy.T_target_copy.yaw == pytest.approx([turn], abs=1e-2)
 
 
 def test_information_with_yaw_is_that_of_the_cost_about_the_solution() -> None:
     target = gicp.prepare(terrains.cloud("rugged", 400), FINE)
     found = gicp.register(target, target, with_yaw(FINE))
-    A = gicp.linearise(
-        target.points, target.normals.astype(float), target, found.translation, found.yaw, with_yaw(FINE)
-    )
+    A = gicp.linearise(target.points, target.normals.astype(float), target, found.T_target_source, with_yaw(FINE))
     assert found.information == pytest.approx(A.information, rel=1e-4)
     assert found.information[:2, :2] == pytest.approx(gicp.register(target, target, FINE).information, rel=1e-6)
 
@@ -163,7 +161,7 @@ def test_information_with_yaw_is_that_of_the_cost_about_the_solution() -> None:
 def test_a_start_with_a_yaw_needs_the_dof() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
     with pytest.raises(gicp.GicpError, match="needs the dof xyyaw"):
-        gicp.register(cloud, cloud, SETTINGS, (0.0, 0.0, 0.1))
+        gicp.register(cloud, cloud, SETTINGS, SE2(np.zeros(2), 0.1))
     with pytest.raises(gicp.GicpError, match="have a yaw"):
         gicp.register_noisy(cloud, cloud, np.zeros((1, 3)), NOISE, SETTINGS)
 
@@ -171,10 +169,10 @@ def test_a_start_with_a_yaw_needs_the_dof() -> None:
 def test_clouds_too_far_apart_are_left_where_they_are() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
     for start in ((500.0, 3.0), (5e7, 0.0)):
-        found = gicp.register(cloud, cloud, SETTINGS, start)
+        found = gicp.register(cloud, cloud, SETTINGS, SE2(np.array(start), 0.0))
         assert not found.converged
         assert found.matched_share == 0
-        assert np.array_equal(found.translation, start)
+        assert np.array_equal(found.T_target_source.translation, start)
         assert np.array_equal(found.information, np.zeros((2, 2)))
 
 
@@ -183,9 +181,9 @@ def test_a_part_that_overlaps_is_enough() -> None:
     beyond = terrains.cloud("rugged", 6000, 2, 180.0)
     source = gicp.prepare(beyond[beyond[:, 0] > 10], SETTINGS)
     near = dataclasses.replace(SETTINGS, max_distance_m=3.0)
-    found = gicp.register(source, target, near, (1.0, 0.5))
+    found = gicp.register(source, target, near, SE2(np.array([1.0, 0.5]), 0.0))
     assert 0.2 < found.matched_share < 0.9
-    assert np.linalg.norm(found.translation) < 0.1
+    assert np.linalg.norm(found.T_target_source.translation) < 0.1
 
 
 def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registration() -> None:
@@ -196,9 +194,9 @@ def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registrati
     clouds = [np.repeat(ground, 30, axis=0), wall, line, np.vstack([ground, [[9e4, -9e4, 0]]]), np.ones((50, 3))]
     for points in (*clouds, ground[:3]):
         cloud = gicp.prepare(points, SETTINGS)
-        found = gicp.register(cloud, cloud, SETTINGS, (0.3, 0.2))
+        found = gicp.register(cloud, cloud, SETTINGS, SE2(np.array([0.3, 0.2]), 0.0))
         assert np.isfinite(cloud.normals).all()
-        assert np.isfinite(found.translation).all()
+        assert np.isfinite(found.T_target_source.translation).all()
         assert (np.linalg.eigvalsh(found.information) > 0).all()
 
 

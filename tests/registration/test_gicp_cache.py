@@ -12,16 +12,17 @@ ROOT = Path(__file__).parents[2]
 REGISTER = """
 import numpy as np
 import terrains
-from pointnetkl import gicp
+from pointnetkl.registration import gicp
 how = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
 cloud = gicp.prepare(terrains.cloud("mild", 400), how)
-print(gicp.register_noisy(cloud, cloud, np.ones((5, 2)), gicp.Noise(0.2, 3), how).translation.tobytes().hex())
+registrations = gicp.register_noisy(cloud, cloud, np.ones((5, 2)), gicp.Noise(0.2, 3), how)
+print(registrations.T_target_copy.translation.tobytes().hex())
 """
 
 
 def registered(source: Path, cache: Path) -> str:
     """Return what a process of its own, with kernels kept in `cache`, answers."""
-    path = os.pathsep.join([str(source), str(ROOT / "tests")])
+    path = os.pathsep.join([str(source), str(ROOT / "tests/helpers")])
     environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)}
     return subprocess.run(
         [sys.executable, "-c", REGISTER], env=environment, capture_output=True, text=True, check=True
@@ -45,6 +46,6 @@ def test_a_process_that_compiles_and_one_that_finds_the_kernel_compiled_answer_a
     assert list(cache.rglob("*.nbc"))
     assert registered(source, cache) == compiled
     # what a kernel calls stands in other files than its own
-    noise = source / "pointnetkl/gicp/noise.py"
+    noise = source / "pointnetkl/registration/gicp/noise.py"
     noise.write_text(noise.read_text().replace("_f32(2.0**-24)\n    bits", "_f32(2.0**-25)\n    bits"))
     assert registered(source, cache) != compiled

@@ -7,6 +7,7 @@ import pytest
 
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp import linearised
+from pointnetkl.surveys.se2 import SE2
 from toy_submaps import REGISTRATION, WITH_YAW, submap
 
 NOISE = gicp.Noise(0.1, 7)
@@ -42,7 +43,7 @@ def test_the_information_is_the_kernel_s_own(dimensions):
     source = gicp.prepare(submap("rugged", 1).points, FINE[dimensions])
     found = gicp.register(source, target, FINE[dimensions])
     solution = gicp.linearise(
-        source.points, source.normals.astype(float), target, found.translation, found.yaw, FINE[dimensions]
+        source.points, source.normals.astype(float), target, found.T_target_source, FINE[dimensions]
     )
     share = np.sqrt(np.outer(np.diag(found.information), np.diag(found.information)))
     np.testing.assert_allclose(solution.information / share, found.information / share, atol=1e-3)
@@ -80,7 +81,7 @@ def test_the_copy_is_the_one_that_is_registered():
 def test_flat_ground_says_nothing_along_its_normals():
     flat = submap("flat").points
     cloud = gicp.prepare(flat, REGISTRATION)
-    solution = gicp.linearise(cloud.points, cloud.normals.astype(float), cloud, np.zeros(2), 0.0, REGISTRATION)
+    solution = gicp.linearise(cloud.points, cloud.normals.astype(float), cloud, SE2.identity(), REGISTRATION)
     assert np.abs(solution.along_normals.information).max() < 1e-6 * len(flat)
     np.testing.assert_allclose(solution.information, 0.5 * len(flat) * np.eye(2), rtol=1e-6)
 
@@ -88,6 +89,6 @@ def test_flat_ground_says_nothing_along_its_normals():
 def test_points_too_far_from_the_target_are_left_out():
     cloud = gicp.prepare(submap("rugged").points, REGISTRATION)
     there = cloud.points + [0, 0, 1e3 * (np.arange(len(cloud.points)) % 2)][2][:, None] * [0, 0, 1]
-    solution = gicp.linearise(there, cloud.normals.astype(float), cloud, np.zeros(2), 0.0, REGISTRATION)
+    solution = gicp.linearise(there, cloud.normals.astype(float), cloud, SE2.identity(), REGISTRATION)
     assert len(solution.matches) == len(there[::2])
     np.testing.assert_allclose(solution.residuals, 0.0, atol=1e-9)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +12,7 @@ from pointnetkl.labels import warnings
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, label_table, table
 from pointnetkl.registration.streams import Stream
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 
@@ -165,11 +165,11 @@ def pretend(monkeypatch: pytest.MonkeyPatch, sample: np.ndarray, shared: np.ndar
 
     def register(
         source: gicp.Cloud, target: gicp.Cloud, moved: np.ndarray, *_: object, **__: object
-    ) -> SimpleNamespace:
+    ) -> gicp.Registrations:
         these = np.array([next(left) for _ in moved])
         converged = np.ones(len(these), np.bool_) if shared is None else shared[these]
-        translation, yaw = sample[these] - moved, np.zeros(len(these))
-        return SimpleNamespace(translation=translation, yaw=yaw, converged=converged, iterations=these % 4)
+        T_target_copy = SE2(sample[these] - moved, np.zeros(len(these)))
+        return gicp.Registrations(T_target_copy, converged, iterations=these % 4)
 
     monkeypatch.setattr(gicp, "register_noisy", register)
 

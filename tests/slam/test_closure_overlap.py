@@ -8,6 +8,7 @@ import pytest
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import overlap
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from toy_survey import REGISTRATION, SPACING, SWATH, graph
 
@@ -63,7 +64,7 @@ def test_with_yaw_a_covariance_is_moved_to_the_middle_of_the_whole_submap():
     for number, q in zip(found["submap"], table.to_matrices(found), strict=True):
         away = submaps[number].points[:, :2].mean(axis=0) - asked.seen[number].points[:, :2].mean(axis=0)
         errors = rng.normal(0.0, np.sqrt([1.0, 2.0, 1e-4]), (200_000, 3))
-        moved = errors[:, :2] + pose.turned(np.tile(away, (len(errors), 1)), errors[:, 2]) - away
+        moved = SE2.from_vector(errors).act(away) - away
         expected = np.cov(np.column_stack([moved, errors[:, 2]]), rowvar=False)
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         assert q / scale == pytest.approx(expected / scale, abs=0.01)

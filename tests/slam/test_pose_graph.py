@@ -8,6 +8,7 @@ import pytest
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges, PoseGraph
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import rotate
 from toy_survey import CLOSURE, DEAD_RECKONING
 
 # A first line east; a second one crosses it northwards: its submap's x is the map's y.
@@ -62,7 +63,7 @@ def test_yaw_s_covariance_moves_from_the_middle_of_the_points_to_the_frame_s_ori
     lever, q = np.array([[20.0, -5.0]]), np.diag([0.04, 0.09, 1e-4]) + 1e-3 * np.eye(3, k=2) + 1e-3 * np.eye(3, k=-2)
     about_middle = np.random.default_rng(0).multivariate_normal(np.zeros(3), q, 20_000) / 100  # small: still linear
     x, y, yaw = about_middle.T
-    at_origin = np.column_stack([x, y]) - (pose.turned(np.tile(lever, (20_000, 1)), yaw) - lever)
+    at_origin = np.column_stack([x, y]) - (rotate(lever, yaw) - lever)
     found = pose_graph.closure_covariances(q[None], CLOSURE, lever)[0]
     expected = np.cov(np.column_stack([yaw, at_origin]).T) * 100**2
     assert found[2:5, 2:5] == pytest.approx(expected, rel=0.05, abs=2e-4)

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from scipy import linalg
 
 from pointnetkl.surveys import pose
 
@@ -45,17 +44,3 @@ def test_headings_turn_the_other_way_from_north():
     north, east, south, west = pose.heading_to_yaw(np.array([0, np.pi / 2, np.pi, 3 * np.pi / 2]))
     assert (north, east) == pytest.approx((np.pi / 2, 0.0))
     assert (south, abs(west)) == pytest.approx((-np.pi / 2, np.pi))
-
-
-@few
-@given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.0, 3.0))
-def test_the_logarithm_of_a_motion_is_what_its_exponential_is_of(x: float, y: float, yaw: float):
-    generator = np.array([[0, -yaw, x], [yaw, 0, y], [0, 0, 0]])
-    motion = linalg.expm(generator)
-    assert pose.log(motion[:2, 2], np.array(yaw)) == pytest.approx([x, y, yaw], abs=1e-8)
-
-
-def test_a_motion_without_a_turn_is_its_own_logarithm_to_the_last_bit():
-    moves = np.random.default_rng(0).standard_normal((100, 2))
-    assert np.array_equal(pose.log(moves, np.zeros(100))[:, :2], moves)
-    assert np.array_equal(pose.turned(moves, 0.0), moves)

@@ -33,7 +33,7 @@ SOURCES = (
     "registration/error_statistics.py",
     "registration/monte_carlo.py",
     "registration/streams.py",
-    "surveys/pose.py",
+    "surveys/se2.py",
 )
 LIBRARIES = {"cpu": ("numpy", "scipy", "numba", "llvmlite"), "cuda": ("numpy", "scipy", "numba", "numba-cuda")}
 _ABANDONED_S = 3600.0  # no file is written for an hour

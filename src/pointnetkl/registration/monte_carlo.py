@@ -9,7 +9,7 @@ import numpy as np
 from pointnetkl.registration import error_statistics, gicp
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.registration.streams import Stream
-from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
@@ -192,11 +192,11 @@ def of_starts(
 ) -> Outcome:
     """Return the errors of registrations of a submap's `clouds` whose copies are moved by (b, M) metres, radians."""
     centroid = submap.points[:, :2].mean(axis=0, dtype=np.float64) - pair[1].centre[:2]
-    found = gicp.register_noisy(*pair, moved, noise, registration, engine=settings.engine)
-    # the copy was moved, turned (from the start's yaw on) and moved again: all of that is left of its perturbation
-    at_centre = pose.turned(moved[:, :2], found.yaw) + found.translation
-    left = pose.log(at_centre + (pose.turned(centroid, found.yaw) - centroid), found.yaw)
-    return Outcome(left[:, : moved.shape[1]], found.converged, found.iterations)
+    registered = gicp.register_noisy(*pair, moved, noise, registration, engine=settings.engine)
+    # the copy was moved, and then turned (from the start's yaw on) and moved again: all of that is left of its motion
+    T_target_source = registered.T_target_copy @ SE2(moved[:, :2], 0.0)
+    residual = T_target_source.about(-centroid).log()
+    return Outcome(residual[:, : moved.shape[1]], registered.converged, registered.iterations)
 
 
 def _errors(

@@ -1,4 +1,4 @@
-"""Poses in the plane of a map, in SE(3) form.
+"""Poses in the plane of a map, in SE(3) form; motions within the plane are in `se2`.
 
 The map frame is local east, north, up. A submap's frame is levelled: x along the track, y to port, z up; its
 pose in the map is a position and a yaw, counter-clockwise from east. `T_map_submap` takes coordinates from the
@@ -35,25 +35,6 @@ def yaw_of(T: np.ndarray) -> float:
 def heading_to_yaw(heading: np.ndarray) -> np.ndarray:
     """Turn compass headings (radians, clockwise from north) into yaws (counter-clockwise from east)."""
     return np.arctan2(np.cos(heading), np.sin(heading))  # atan2(north part, east part)
-
-
-def turned(vectors: np.ndarray, yaw: np.ndarray | float) -> np.ndarray:
-    """Return vectors (..., 2) turned by a yaw (...) in radians, counter-clockwise."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
-
-
-def log(translation: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Return the tangent vectors (..., 3), as x, y, yaw, of motions p -> R(yaw) p + translation (..., 2) in the plane.
-
-    The whole yaw must be within half a turn.
-    """
-    half = np.asarray(yaw / 2)
-    # the inverse of SE(2)'s V; where there is no turn, sinc makes it the identity
-    along = np.cos(half) / np.sinc(half / np.pi)
-    x, y = translation[..., 0], translation[..., 1]
-    return np.stack([along * x + half * y, along * y - half * x, np.asarray(yaw)], axis=-1)
 
 
 def quaternions(poses: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 With matches and weights held, the motion is a linear function of the points: it changes by H^-1 sum A^T M (q - p).
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from scipy.spatial import cKDTree
 from pointnetkl.registration.gicp import normals
 from pointnetkl.registration.gicp.noise import Noise
 from pointnetkl.registration.gicp.registration import Cloud, Settings, register_noisy
+from pointnetkl.surveys.se2 import SE2
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def solve(source: Cloud, target: Cloud, noise: Noise, settings: Settings) -> Lin
     """Register the copy of run `noise.first` of the source onto the target, from where it is; return its solution."""
     found = register_noisy(source, target, np.zeros((1, settings.dimensions)), noise, settings)
     points, upwards = noisy_copy(source, target, noise)
-    return linearise(points, upwards, target, found.translation[0], float(found.yaw[0]), settings)
+    return linearise(points, upwards, target, SE2.from_vector(found.T_target_copy.to_vector()[0]), settings)
 
 
 def noisy_copy(source: Cloud, target: Cloud, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
@@ -66,13 +66,12 @@ def noisy_copy(source: Cloud, target: Cloud, noise: Noise) -> tuple[np.ndarray, 
 
 
 def linearise(
-    points: np.ndarray, upwards: np.ndarray, target: Cloud, translation: np.ndarray, yaw: float, settings: Settings
+    points: np.ndarray, upwards: np.ndarray, target: Cloud, T_target_source: SE2, settings: Settings
 ) -> Linearised:
-    """Match points (n, 3) with their normals to the target, turned by yaw about its centre and moved by (x, y)."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    """Match points (n, 3) with their normals to the target, after a motion about its centre."""
+    turn = T_target_source.to_matrix()[:3, :3]
     arms = (points - target.centre) @ turn.T
-    moved = arms + target.centre + [*translation, 0.0]
+    moved = arms + target.centre + [*T_target_source.translation, 0.0]
     distances, matches = cKDTree(target.points).query(moved, distance_upper_bound=settings.max_distance_m)
     near = np.isfinite(distances)
     matches = matches[near]

@@ -1,6 +1,5 @@
 """Preparing clouds and registering them: what the rest of the package sees of GICP."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -9,7 +8,7 @@ import numpy as np
 
 from pointnetkl.registration.gicp import kernel, matching, neighbours, normals
 from pointnetkl.registration.gicp.noise import Noise
-from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2, rotate
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -101,8 +100,7 @@ class Source(Protocol):
 class Registration:
     """Outcome of aligning one cloud with another."""
 
-    translation: np.ndarray  # (2,) metres: the source, turned about the target's centre and translated, lies on it
-    yaw: float  # radians
+    T_target_source: SE2  # lays the source on the target, in axes with the origin at the target's centre
     # (M, M) 1/m^2 and 1/rad^2, yaw about the target's centre: the sum of J^T M J over the matches at the solution, J
     # the Jacobian of (x, y) or (x, y, yaw); zero without any match
     information: np.ndarray
@@ -115,8 +113,7 @@ class Registration:
 class Registrations:
     """Outcomes of aligning b noisy copies of one cloud with another."""
 
-    translation: np.ndarray  # (b, 2) metres, after the turn
-    yaw: np.ndarray  # (b,) radians, about the target's centre
+    T_target_copy: SE2  # (b) motions that lay the moved, noisy copies on the target, with the origin at its centre
     converged: np.ndarray  # (b,) bool
     iterations: np.ndarray  # (b,) int32
 
@@ -146,29 +143,27 @@ def register(
     source: Source,
     target: Cloud,
     settings: Settings,
-    start: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    start: SE2 | None = None,
 ) -> Registration:
     """Return the motion by settings.dof, near `start`, that lays the source on the target.
 
-    Both clouds are in the same axes. `start` is x, y in metres and perhaps yaw, radians about the target's centre,
-    which only the dof xyyaw has. Without any match within settings.max_distance_m the answer is the start itself, not
+    Both clouds are in the same axes. Motions, the answer's and `start`, have their origin at the target's centre; only
+    the dof xyyaw has a yaw. Without any match within settings.max_distance_m the answer is the start itself, not
     converged, with zero information.
 
     Raises:
         GicpError: the start has a yaw, and the dof is xy.
     """
-    begun = np.zeros(3)
-    begun[: len(start)] = start
-    if begun[2] and settings.dimensions == 2:
-        raise GicpError(f"a start with a yaw of {begun[2]:g} rad needs the dof xyyaw, and it is xy")
+    start = start or SE2.identity()
+    if start.yaw and settings.dimensions == 2:
+        raise GicpError(f"a start with a yaw of {start.yaw:g} rad needs the dof xyyaw, and it is xy")
     # the kernel's source is moved first and turned then
-    move = pose.turned(begun[:2], -begun[2])
+    move = rotate(start.translation, -start.yaw)
     (x, y, yaw), sums, iterations, converged, matched = kernel.register(
-        source.as_source(target, np.array([*move, 0.0])), target.as_target, begun[2], _limits(settings)
+        source.as_source(target, np.array([*move, 0.0])), target.as_target, float(start.yaw), _limits(settings)
     )
     return Registration(
-        translation=np.array([x, y]) + pose.turned(move, yaw),
-        yaw=yaw,
+        T_target_source=SE2(np.array([x, y]), yaw) @ SE2(move, 0.0),
         information=_information(sums, settings.dimensions),
         converged=converged,
         iterations=iterations,
@@ -214,7 +209,7 @@ def register_noisy(
         limits,
     )
     motions, iterations, converged = found
-    return Registrations(motions[:, :2], motions[:, 2], converged, iterations)
+    return Registrations(SE2.from_vector(motions), converged, iterations)
 
 
 def _information(sums: np.ndarray, dimensions: int) -> np.ndarray:

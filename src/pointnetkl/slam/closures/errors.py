@@ -23,6 +23,7 @@ from pointnetkl.slam.closures.tables import PAIR, SPLIT
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
@@ -165,9 +166,10 @@ def _errors(
     reach = None if how.graph.overlap_factor is None else how.graph.overlap_factor * how.spacing_m
     ground = loop_closure.Ground(np.concatenate(around), cloud.mean(axis=0), reach, how.registration)
     left = np.full((len(starts), 4, 4), np.nan)
-    for i, found in enumerate(ground.lay_each(cloud, np.pad(starts, ((0, 0), (0, 3 - starts.shape[1]))))):
+    motions = [SE2.from_vector(start) for start in np.pad(starts, ((0, 0), (0, 3 - starts.shape[1])))]
+    for i, found in enumerate(ground.lay_each(cloud, motions)):
         if found is not None:
-            left[i] = np.linalg.inv(loop_closure.moved_pose(T, found[0])) @ T
+            left[i] = np.linalg.inv(found[0].act_on_pose(T)) @ T
     return survey_graph.what_is_left(left, None if centroid is None else np.tile(centroid, (len(left), 1)))
 
 

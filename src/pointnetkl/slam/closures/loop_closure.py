@@ -12,6 +12,7 @@ from pointnetkl.slam.graph import footprint
 from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
 from pointnetkl.slam.graph.survey_graph import Closures
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
@@ -90,11 +91,11 @@ def close(
         )
     front = _FrontEnd(spacing, settings, registration)
     for i in range(len(submaps)):
-        drift = front.correction if perturbations is None else np.zeros(3)
+        drift = front.correction if perturbations is None else SE2.identity()
         perturbation = np.zeros(3)
         if perturbations is not None:
             perturbation[: registration.dimensions] = perturbations[i]
-        front.add(submaps[i].points, poses[i], drift, perturbation)
+        front.add(submaps[i].points, poses[i], drift, SE2.from_vector(perturbation))
     return front.closures()
 
 
@@ -110,7 +111,7 @@ class Ground:
         self._tree = None if reach is None else cKDTree(local[:, :2])
         self._target = gicp.prepare(local, registration)
 
-    def lay(self, cloud: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+    def lay(self, cloud: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
         """Return the motion that lays a cloud on the ground, and whether it converged; None without a match.
 
         The cloud (n, 3) is in the map frame, and `start` a motion about the origin.
@@ -121,36 +122,37 @@ class Ground:
             return None
         return self._lay(gicp.prepare(moving, self._registration), start)
 
-    def lay_each(self, cloud: np.ndarray, starts: Iterable[np.ndarray]) -> list[tuple[np.ndarray, bool] | None]:
+    def lay_each(self, cloud: np.ndarray, starts: Iterable[SE2]) -> list[tuple[SE2, bool] | None]:
         """Return what `lay` does of many starts, up to rounding, in less time."""
         whole = gicp.prepare(cloud - self._origin, self._registration)
         return [self._lay_part(whole, start) for start in starts]
 
-    def _lay_part(self, whole: gicp.Cloud, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+    def _lay_part(self, whole: gicp.Cloud, start: SE2) -> tuple[SE2, bool] | None:
         near = self._over(whole.points, start)
         if near.sum() < self._registration.neighbours:
             return None
         return self._lay(gicp.part(whole, near, self._registration), start)
 
-    def _lay(self, source: gicp.Source, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+    def _lay(self, source: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
         centre = self._target.centre
-        outcome = gicp.register(source, self._target, self._registration, about(start, -centre))
-        found = np.array([*outcome.translation, outcome.yaw])
-        return (about(found, self._origin + centre), outcome.converged) if outcome.matched_share > 0 else None
+        outcome = gicp.register(source, self._target, self._registration, start.about(-centre[:2]))
+        if outcome.matched_share == 0:
+            return None
+        return outcome.T_target_source.about((self._origin + centre)[:2]), outcome.converged
 
-    def _over(self, moving: np.ndarray, start: np.ndarray) -> np.ndarray:
+    def _over(self, moving: np.ndarray, start: SE2) -> np.ndarray:
         # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
         # drag a half-covered submap right across the target.
         if self._tree is None or self._reach is None:
             return np.ones(len(moving), bool)
-        distance, _ = self._tree.query(_moved(moving, start)[:, :2], distance_upper_bound=self._reach)
+        distance, _ = self._tree.query(start.act(moving[:, :2]), distance_upper_bound=self._reach)
         return np.isfinite(distance)
 
 
 class _FrontEnd:
     """The map as it grows: S_graph of Algorithm 1.
 
-    A motion (3,) in the map frame is p -> R(yaw) p + (x, y), as x, y, yaw; without yaw R is exactly the identity.
+    Motions are in the map frame, about its origin; without yaw their rotation is exactly the identity.
     """
 
     def __init__(self, spacing: float, settings: Settings, registration: gicp.Settings) -> None:
@@ -163,24 +165,25 @@ class _FrontEnd:
         self._edges: list[tuple[int, int, int, np.ndarray]] = []
         self._registered: list[tuple[int, np.ndarray, np.ndarray, bool]] = []
         self._rejected: list[int] = []
-        self.correction = np.zeros(3)  # the motion of the submap added last
+        self.correction = SE2.identity()  # the motion of the submap added last
 
-    def add(self, points: np.ndarray, T: np.ndarray, drift: np.ndarray, perturbation: np.ndarray) -> None:
+    def add(self, points: np.ndarray, T: np.ndarray, drift: SE2, perturbation: SE2) -> None:
         """Add the next submap, with pose T, moved by `drift`; register it if it closes a loop."""
         i = len(self._clouds)
-        cloud = pose.transform(moved_pose(T, drift), points)
+        cloud = pose.transform(drift.act_on_pose(T), points)
         targets = self._footprints.covering(cloud, self._share, among=i - 1)  # never S_{i-1}
         outcome = self._register(cloud, targets, perturbation) if len(targets) else None
-        self.correction = drift if outcome is None else _then(drift, outcome[0])
+        self.correction = drift if outcome is None else outcome[0] @ drift
         self._centroids.append(points[:, :2].mean(axis=0))
-        self._place(_moved(cloud, _since(drift, self.correction)), moved_pose(T, self.correction))
+        self._place((self.correction / drift).act(cloud), self.correction.act_on_pose(T))
         if outcome is not None:
-            start = _then(drift, about(perturbation, cloud.mean(axis=0)))
-            self._connect(i, targets, [_shift(T, motion) for motion in (start, self.correction)], outcome[1])
+            start = perturbation.about(cloud.mean(axis=0)[:2]) @ drift
+            shifts = [motion.about(-T[:2, 3]).to_vector() for motion in (start, self.correction)]
+            self._connect(i, targets, shifts, outcome[1])
         elif len(targets):
             self._rejected.append(i)
 
-    def _register(self, cloud: np.ndarray, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+    def _register(self, cloud: np.ndarray, targets: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
         """Return the motion that lays the cloud on its targets, and whether it converged; None without a match."""
         fused = np.concatenate([self._clouds[k] for k in targets])
         return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).lay(cloud, start)
@@ -191,7 +194,8 @@ class _FrontEnd:
         self._T_map.append(T)
 
     def _connect(self, i: int, targets: np.ndarray, shifts: list[np.ndarray], converged: bool) -> None:
-        # x, y and with xyyaw yaw from the registration; the rest is that handed in, because it was not corrected
+        # x, y and with xyyaw yaw from the registration; the rest is that handed in, because it was not corrected.
+        # `shifts` are what the start and the correction change of the pose's x, y and yaw
         for k in targets:
             measured = np.linalg.inv(self._T_map[k]) @ self._T_map[i]
             self._edges.append((int(k), i, len(self._registered), measured))
@@ -215,36 +219,3 @@ class _FrontEnd:
             rejected=np.array(self._rejected, np.int64),
             centroid=np.array(self._centroids).reshape(-1, 2) if m == 3 else None,
         )
-
-
-def moved_pose(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) in the map after a motion."""
-    moved = T.copy()
-    moved[:2] = pose.turned(T[:2].T, motion[2]).T
-    moved[:2, 3] += motion[:2]
-    return moved
-
-
-def about(motion: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return, about the origin, a motion that turns about a centre (2 or 3,)."""
-    return np.array([*motion[:2] + (centre[:2] - pose.turned(centre[:2], motion[2])), motion[2]])
-
-
-def _moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    return np.column_stack([pose.turned(points[:, :2], motion[2]) + motion[:2], points[:, 2]])
-
-
-def _shift(T: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return what a motion changes of a pose: its x, y and yaw."""
-    return np.array([*motion[:2] + (pose.turned(T[:2, 3], motion[2]) - T[:2, 3]), motion[2]])
-
-
-def _then(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the motion that is first and then second."""
-    return np.array([*pose.turned(first[:2], second[2]) + second[:2], first[2] + second[2]])
-
-
-def _since(first: np.ndarray, both: np.ndarray) -> np.ndarray:
-    """Return the motion that makes first both."""
-    yaw = both[2] - first[2]
-    return np.array([*both[:2] - pose.turned(first[:2], yaw), yaw])

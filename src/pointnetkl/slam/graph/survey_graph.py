@@ -14,7 +14,7 @@ import numpy as np
 
 from pointnetkl.slam.graph import pose_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
-from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow.errors import PointNetKLError
 
 _KINDS = ("edge", "registration", "rejected")  # of rows that each draw has some of
@@ -119,8 +119,7 @@ def what_is_left(left: np.ndarray, centroid: np.ndarray | None) -> np.ndarray:
     """Return transforms (n, 4, 4) that should be the identity as errors (n, M), M = 3 with the centroids (n, 2)."""
     if centroid is None:
         return np.asarray(left[:, :2, 3])
-    yaw = np.arctan2(left[:, 1, 0], left[:, 0, 0])
-    return pose.log(left[:, :2, 3] + (pose.turned(centroid, yaw) - centroid), yaw)
+    return SE2.from_matrix(left).about(-centroid).log()
 
 
 def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from pointnetkl.registration.gicp.cuda import kernel as cuda_kernel
 from pointnetkl.registration.gicp.cuda import matching as cuda_matching
 from pointnetkl.registration.gicp.noise import Noise
 from pointnetkl.registration.gicp.registration import Cloud, GicpError, Registrations
+from pointnetkl.surveys.se2 import SE2
 
 _THREADS = 128  # of a block, a power of two
 _BLOCKS = 6  # of a multiprocessor: what its registers hold
@@ -36,7 +37,7 @@ def register_noisy(
         )
     require_gpu()
     if len(translations) == 0:
-        return Registrations(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.bool_), np.zeros(0, np.int32))
+        return Registrations(SE2(np.zeros((0, 2)), np.zeros(0)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
     if not hasattr(_own, "lane"):
         _own.lane = Lane()
     return launch(_own.lane, arguments(_own.lane, source, target, translations, noise, limits))
@@ -95,7 +96,7 @@ def launch(lane: Lane, given: tuple[Any, ...]) -> Registrations:
     shared = cuda_kernel.shared_bytes(_THREADS)
     cuda_kernel.register_noisy[len(room.matches), _THREADS, lane.stream, shared](*given)
     translation, iterations, converged, _ = (lane.get(array) for array in found)
-    return Registrations(translation, np.zeros(len(translation)), converged, iterations)
+    return Registrations(SE2(translation, np.zeros(len(translation))), converged, iterations)
 
 
 def arguments(
