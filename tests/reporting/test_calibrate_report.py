@@ -26,7 +26,9 @@ def made(seed: int, sigma: float = 1.0, count: int = SUBMAPS, m: int = 2, truth:
     number = np.tile(np.arange(count), DRAWS if count else 0)
     placed = np.einsum("rij,rj->ri", roots[number], rng.normal(size=(len(number), m)))
     rows = pd.DataFrame({"draw": np.repeat(np.arange(len(number) // max(count, 1)), count), "submap": number})
-    rows = rows.assign(targets=1, converged=True, **{name: rng.random(len(rows)) for name in closures.DESCRIBED})
+    rows = rows.assign(
+        targets=1, converged=True, **{name: rng.random(len(rows)) for name in calibrate_tables.DESCRIPTION}
+    )
     errors = {"error": sigma * placed if truth else np.nan * placed, "gt_error": sigma * placed, "placed_error": placed}
     for kind, e in errors.items():
         rows = rows.assign(**{f"{kind}_{unit}": e[:, i] for i, unit in enumerate(("x_m", "y_m", "w_rad")[:m])})
@@ -201,8 +203,3 @@ def test_bins_of_errors_drawn_from_q_lie_on_the_line():
     assert len(points) == 8
     assert points[:, 1] == pytest.approx(points[:, 0], rel=0.1)
     assert calibration_plots.binned(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0, 2)
-
-
-def test_what_is_read_of_a_table_is_what_its_stage_writes():
-    assert set(closures.ROWS.names) <= set(calibrate_tables.CLOSURES.names)
-    assert (closures.SPLIT, closures.PAIR) == (calibrate_tables.SPLIT, calibrate_tables.PAIR)

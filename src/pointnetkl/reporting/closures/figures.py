@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.closures import numbers as closures
-from pointnetkl.reporting.closures.numbers import BUILT, PAIR, PLACED, SPLIT, Closures
+from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.drawing import families, plots
 from pointnetkl.reporting.results import GOLD
+from pointnetkl.slam.closures.tables import BUILT, PAIR, PLACED, SPLIT
 
 _NEES = (0.1, 5000.0)  # shown; what lies beyond stands at the border
 _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plots.SKY)

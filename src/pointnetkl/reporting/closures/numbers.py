@@ -6,27 +6,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from scipy import linalg, stats
 
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
+from pointnetkl.slam.closures.tables import BUILT, CLOSURES, DESCRIPTION, PAIR, PLACED, SPLIT, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
-SPLIT, PAIR = "split", "pair"  # methods that stage `calibrate` measured
-BUILT, PLACED, TO_GT = "error", "placed_error", "gt_error"  # errors of a row: see `errors`
-_KINDS = (BUILT, TO_GT, PLACED)
-DESCRIBED = ("overlap", "patchiness", "outside", "given_m", "heading_m")
-ROWS = pa.schema(
-    [
-        *((name, pa.int32()) for name in ("draw", "submap", "targets")),
-        ("converged", pa.bool_()),
-        *((name, pa.float64()) for name in DESCRIBED),
-        *((f"{kind}_{axis}_m", pa.float64()) for kind in _KINDS for axis in "xy"),
-    ]
-)
-_YAW = pa.schema([(f"{kind}_w_rad", pa.float64()) for kind in _KINDS])
 _OF_PLACED = ("nees", "nees_median", "coverage_95", "inflation")
 _GOAL = 0.95  # of the errors, inside the ellipse that should hold so many
 FIRM = "below 0.1 m"  # the class of submaps that the ground holds best
@@ -38,7 +25,7 @@ _MOST_M2, _LEAST_M2, _HALVINGS = 1e4, 1e-8, 24  # of a search for the variance t
 class Closures:
     """A test survey's registrations, and the covariances (M, M) that every method gives their submaps."""
 
-    rows: pd.DataFrame  # schema ROWS, of every draw of the graph
+    rows: pd.DataFrame  # schema CLOSURES, of every draw of the graph
     covariances: Mapping[str, Mapping[int, np.ndarray]]  # by method and submap
 
     @property
@@ -66,7 +53,7 @@ class Closures:
 
 def read(folders: Folders, name: str, labels: Labels, test: Test) -> Closures:
     """Read a test survey's loop closures, and bring every method's covariances together."""
-    rows = artifacts.read_table(folders.data / f"closures/{name}.parquet", ROWS, also=_YAW)
+    rows = artifacts.read_table(folders.data / f"closures/{name}.parquet", CLOSURES, also=YAW)
     path = folders.data / f"closures/{name}_covariances.parquet"
     numbers = labels.submap.tolist()
     every = {GOLD: labels.q, **test.covariances}
@@ -99,7 +86,7 @@ def ratios(of: Closures, method: str) -> pd.DataFrame:
     both = [(pair[number][:2, :2], mine[number][:2, :2]) for number in rows["submap"]]
     size = np.array([np.trace(q_ij) / np.trace(q_i) for q_ij, q_i in both])
     worst = np.array([linalg.eigh(q_ij, q_i, eigvals_only=True)[-1] for q_ij, q_i in both])
-    return rows[["submap", *DESCRIBED]].assign(ratio=np.sqrt(size), worst_ratio=np.sqrt(worst))
+    return rows[["submap", *DESCRIPTION]].assign(ratio=np.sqrt(size), worst_ratio=np.sqrt(worst))
 
 
 def sizes(of: Closures) -> dict[str, Any]:
@@ -110,7 +97,7 @@ def sizes(of: Closures) -> dict[str, Any]:
         "registrations": len(rows),
         "submaps": int(rows["submap"].nunique()),
         "converged": float(rows["converged"].mean()) if len(rows) else None,
-        **{name: _median(rows[name].to_numpy()) for name in DESCRIBED},
+        **{name: _median(rows[name].to_numpy()) for name in DESCRIPTION},
         **{f"{kind}_m": _rms(of.errors(kind)) for kind in (BUILT, TO_GT, PLACED)},
     }
 
@@ -145,7 +132,7 @@ def _median(values: np.ndarray) -> float | None:
 
 def _dependence(found: pd.DataFrame) -> dict[str, Any]:
     middles = {name: _median(found[name].to_numpy()) for name in ("ratio", "worst_ratio")}
-    return {**middles, **{n: _rank_correlation(found[n], found["ratio"]) for n in DESCRIBED[:3]}}
+    return {**middles, **{n: _rank_correlation(found[n], found["ratio"]) for n in DESCRIPTION[:3]}}
 
 
 def _rank_correlation(a: pd.Series, b: pd.Series) -> float | None:

@@ -6,28 +6,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.reporting.results import Folders
+from pointnetkl.slam.robust.tables import CORRUPTED, GATE, GRAPH, ROWS
 from pointnetkl.workflow import artifacts
 
 ERRORS = ("truth_rmse_xyz_m", "truth_relative_m", "rmse_xyz_m")
 _COUNTS = ("true_closures", "false_closures")
 _ACCEPTED = ("accepted_true", "accepted_false")
-ROWS = pa.schema(
-    [
-        *((name, pa.string()) for name in ("survey", "kernel", "start", "method")),
-        ("share", pa.float64()),
-        ("repetition", pa.int32()),
-        *((name, pa.int32()) for name in _COUNTS),
-        *((name, pa.float64()) for name in (*ERRORS, *_ACCEPTED)),
-        ("failed", pa.bool_()),
-    ]
-)
 PAIRS = ("joined", "covering", "both")
-GATE = pa.schema([("survey", pa.string()), ("at", pa.string()), *((name, pa.float64()) for name in PAIRS)])
-PLAIN = "plain"  # the kernel that is none
-CORRUPTED = "corrupted"  # a start; only kernels that have no other are judged by it
 MEASURES = ("false_share", *ERRORS, "precision", "recall", "runs", "failed")
 CELLS = ["survey", "kernel", "start", "method", "share"]
 
@@ -82,7 +69,7 @@ def numbers(found: Found) -> dict[str, Any]:
         last = of.iloc[-1]
         precision = {name: None if pd.isna(last[name]) else float(last[name]) for name in ("precision", "recall")}
         made.setdefault(survey, {}).setdefault(kernel, {})[method] = {**errors, **precision}
-    own = found.gate[found.gate["at"] == "graph"]
+    own = found.gate[found.gate["at"] == GRAPH]
     return {"robustness": made, "loop_gate": {name: gate(of) for (name,), of in groups(own, ["survey"])}}
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.reporting.page import Section
-from pointnetkl.reporting.robustness import numbers as robustness
 from pointnetkl.reporting.text_table import Block, cell
+from pointnetkl.slam.robust.tables import CORRUPTED, PLAIN
 
 _STANDS = 1.5  # times the error without false closures: a kernel that stays below stands them
 
@@ -84,7 +84,7 @@ def _with_truth(table: pd.DataFrame) -> list[str]:
 
 def _worst(known: pd.DataFrame, columns: Sequence[str]) -> dict[str, float]:
     """Return by kernel the largest ratio of the last error to the plain one's first, NaN if any is missing."""
-    clean = known[known["kernel"] == robustness.PLAIN].set_index(["survey", "method"])[columns[0]].astype(float)
+    clean = known[known["kernel"] == PLAIN].set_index(["survey", "method"])[columns[0]].astype(float)
     due = np.array([clean[key] for key in zip(known["survey"], known["method"], strict=True)])
     ratio = known[columns[-1]].astype(float) / due
     return {str(kernel): float(of.max(skipna=False)) for kernel, of in ratio.groupby(known["kernel"], sort=False)}
@@ -108,10 +108,10 @@ def _starts(table: pd.DataFrame) -> str:
     if not columns or table.empty:
         return ""
     wide = table.pivot(index=["survey", "kernel"], columns="start", values=columns[-1]).astype(float)
-    settled = wide.drop(columns=robustness.CORRUPTED, errors="ignore")
-    if settled.empty or robustness.CORRUPTED not in wide:
+    settled = wide.drop(columns=CORRUPTED, errors="ignore")
+    if settled.empty or CORRUPTED not in wide:
         return ""
-    ratio = (wide[robustness.CORRUPTED] / settled.max(axis=1)).dropna()
+    ratio = (wide[CORRUPTED] / settled.max(axis=1)).dropna()
     worst = ratio.groupby("kernel", sort=False).max()
     each = ", ".join(f"{kernel} {cell(float(value), 3)}" for kernel, value in worst.items())
     share = columns[-1].rsplit("_", 1)[1]

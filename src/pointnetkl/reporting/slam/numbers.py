@@ -8,9 +8,9 @@ import pandas as pd
 
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import OURS, SLAM_ERRORS, Settings, Test
+from pointnetkl.slam.benchmark.tables import AUTHORS, TABLE
 from pointnetkl.slam.graph import trajectory_error
 
-TABLE, AUTHORS = "table", "authors"  # variants of the benchmark
 NOT_SOLVED = ("navigation", "corrupted", "gt")  # trajectories that no method's covariances made
 # Measured over draws, and how their numbers are called: {} stands in a name of the measure's mean, or of a comparison
 _OVER_DRAWS = {

@@ -5,17 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, interval
+from pointnetkl.slam.consistency.tables import THINNING
 from pointnetkl.workflow import artifacts
 
 _MEANS = ("draws_truth_rmse_xyz_m", "draws_truth_rmse_se2_m", "truth_relative_m")
 _MINUS = ("", "_se2", "_relative")  # in the names of network's error less a method's
 _AUTHORS = "Table IV with the authors' two slips, from the same graphs and noises, metres."
-_ERRORS = [(name, pa.float64()) for name in ("map_to_map_m", "both_thinned_m")]
-THINNING = pa.schema([("survey", pa.string()), ("thinning", pa.int32()), ("cells", pa.int64()), *_ERRORS])
 
 
 def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
