@@ -100,7 +100,10 @@ def main() -> None:
             write(folder / f"raw/line_{number}.all", number * pings, pings)
         size = sum(file.stat().st_size for file in (folder / "raw").iterdir())
         params = folder / "params.yaml"
-        line = "    big: {group: test, raw: raw, truth: data/none, submap_length_m: 120, point_spacing_m: 1.5, label_runs: 200}\n"
+        line = (
+            "    big: {group: test, raw: raw, truth: data/none,"
+            " submap_length_m: 120, point_spacing_m: 1.5, label_runs: 200}\n"
+        )
         text = (ROOT / "params.yaml").read_text()
         params.write_text(text.replace("  test: &test\n", f"  test: &test\n{line}"))
         (folder / "none").write_text("none\n")

@@ -10,16 +10,23 @@ LIBRARY = SOURCE / "pointnetkl"
 
 
 def imported(file: Path) -> Iterator[Path]:
-    """Yield the library's modules that a file imports, directly; not those that only its types name."""
+    """Yield the modules of the library that importing a file runs, directly: with a module, its packages."""
+    for name in _names(file):
+        yield from module_files(name)
+
+
+def named(file: Path) -> set[Path]:
+    """Return the modules of the library that a file names in its imports, without their packages."""
+    return {files[-1] for name in _names(file) if (files := list(module_files(name)))}
+
+
+def _names(file: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports, but for those that only its types use."""
     for node in _statements(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names] + [node.module]
-        else:
-            continue
-        for name in names:
-            yield from module_files(name)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def _statements(node: ast.AST) -> Iterator[ast.AST]:
@@ -76,7 +83,7 @@ def arrows(files: Iterable[Path], depth: int = 9) -> dict[str, set[str]]:
     """Return the rooms that each room of some modules imports, itself left out; rooms deeper than `depth` in one."""
     found: dict[str, set[str]] = {}
     for file in files:
-        others = {_cut(room(module), depth) for module in imported(file) if holds_code(module)}
+        others = {_cut(room(module), depth) for module in named(file) if holds_code(module)}
         name = _cut(room(file), depth)
         found.setdefault(name, set()).update(others - {name})
     return found

@@ -93,7 +93,10 @@ def test_another_clean_run_with_other_workers_gives_the_same_bytes(study: Worksp
 def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_what_gathers_them(study: Workspace):
     # raw pings under another name stand for a user's file; nothing is known of its truth
     study.run("cp", "-r", "data/raw/borno_8", "data/raw/mine")
-    line = "mine: {group: test, raw: data/raw/mine, truth: data/none, submap_length_m: 100, point_spacing_m: 3.2, label_runs: 20}"
+    line = (
+        "mine: {group: test, raw: data/raw/mine, truth: data/none,"
+        " submap_length_m: 100, point_spacing_m: 3.2, label_runs: 20}"
+    )
     study.edit("params.yaml", "  test: &test\n", f"  test: &test\n    {line}\n")
     ran = study.run("dvc", "repro").stdout
     own = (
