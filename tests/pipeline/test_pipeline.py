@@ -1,7 +1,6 @@
 """The whole pipeline at smoke scale, end to end, and what happens when something changes."""
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -64,12 +63,10 @@ def test_the_paper_s_tables_come_out(study: Workspace):
     assert metrics["kl"]["borno_8"]["pointnetkl"]["mean"] > 0
 
 
-def test_a_second_run_has_nothing_to_do_and_says_so_quickly(study: Workspace):
-    begun = time.monotonic()
+def test_a_second_run_has_nothing_to_do_and_says_so(study: Workspace):
     output = study.run("dvc", "repro").stdout
     assert study.ran(output) == []
     assert "up to date" in output
-    assert time.monotonic() - begun < 60  # a hang would be worse than slow; the README tells the measured time
 
 
 def test_changing_slam_reruns_slam_stress_and_the_report_only(study: Workspace):

