@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pointnetkl.reporting import paper
-from pointnetkl.reporting.covariances import figures, method_plots, pareto_plots
+from pointnetkl.reporting.covariances import method_plots, pareto_plots
 from pointnetkl.reporting.drawing import maps, plots
-from pointnetkl.reporting.labels import figures as label_plots
+from pointnetkl.reporting.labels import figures as label_figures
+from pointnetkl.reporting.surveys import figures as survey_figures
 
 KL = pd.DataFrame(
     {
@@ -57,23 +58,23 @@ VARIED = pd.DataFrame(
 POINTS = np.random.default_rng(0).uniform(-1, 1, (500, 3))
 EIGENVALUES = {"borno_8": np.sort(9.0 * np.abs(POINTS[:30, :2]))}
 EVERY: dict[str, Callable[[], Figure]] = {
-    "training": lambda: plots.training({"pointnetkl": LOSS, "network": LOSS}),
+    "training": lambda: label_figures.training({"pointnetkl": LOSS, "network": LOSS}),
     "kl": lambda: method_plots.divergence(KL),
     "calibration": lambda: method_plots.calibration(KL),
     "slam": lambda: method_plots.slam_error(SLAM),
-    "labels": lambda: plots.eigenvalues(EIGENVALUES, 9.0, 0.01),
+    "labels": lambda: label_figures.eigenvalues(EIGENVALUES, 9.0, 0.01),
     "accuracy_time": lambda: pareto_plots.accuracy_time(KL, SECONDS),
-    "cost_accuracy": lambda: label_plots.cost_accuracy(ACCURACY, 0.001),
-    "spacing": lambda: label_plots.spacing(VARIED, 9.0),
-    "noise": lambda: label_plots.noise(VARIED),
-    "swath": lambda: maps.swath(100 * POINTS - [0, 0, 200], "baltic"),
-    "canonical": lambda: maps.canonical({"baltic": POINTS, "borno_1": POINTS}),
+    "cost_accuracy": lambda: label_figures.cost_accuracy(ACCURACY, 0.001),
+    "spacing": lambda: label_figures.spacing(VARIED, 9.0),
+    "noise": lambda: label_figures.noise(VARIED),
+    "swath": lambda: survey_figures.draw_swath(100 * POINTS - [0, 0, 200], "baltic"),
+    "canonical": lambda: survey_figures.draw_canonical({"baltic": POINTS, "borno_1": POINTS}),
 }
 
 
 def test_the_whisker_of_a_small_label_is_not_cut_off():
     labels = {"small": np.geomspace([1e-5, 1e-3], [1e-3, 1e-2], 20), "large": np.full((20, 2), 9.0)}
-    axes = plots.eigenvalues(labels, 9.0, 0.01).axes[0]
+    axes = label_figures.eigenvalues(labels, 9.0, 0.01).axes[0]
     assert axes.get_xlim()[0] < np.quantile(labels["small"], 0.05)
 
 
@@ -104,33 +105,35 @@ def test_both_copies_of_every_survey_are_drawn_on_shared_axes(name: str):
 
 
 def test_labels_of_nothing_leave_the_axis_and_do_not_stretch_it():
-    found = label_plots.noise(VARIED.assign(smaller_m2=VARIED["smaller_m2"].where(VARIED["noise_sigma_m"] > 0, 1e-16)))
+    found = label_figures.noise(
+        VARIED.assign(smaller_m2=VARIED["smaller_m2"].where(VARIED["noise_sigma_m"] > 0, 1e-16))
+    )
     assert found.axes[0].get_ylim()[0] == pytest.approx(1e-7)
 
 
 def test_without_a_time_per_registration_there_is_no_axis_of_seconds():
-    assert label_plots.cost_accuracy(ACCURACY, None).axes[0].child_axes == []
-    assert len(label_plots.cost_accuracy(ACCURACY, 0.001).axes[0].child_axes) == 1
+    assert label_figures.cost_accuracy(ACCURACY, None).axes[0].child_axes == []
+    assert len(label_figures.cost_accuracy(ACCURACY, 0.001).axes[0].child_axes) == 1
 
 
 def test_without_variations_the_figures_are_empty_and_no_error():
-    assert plots.png(label_plots.cost_accuracy(ACCURACY.iloc[:0], None))
-    assert plots.png(label_plots.noise(VARIED.iloc[:0]))
+    assert plots.png(label_figures.cost_accuracy(ACCURACY.iloc[:0], None))
+    assert plots.png(label_figures.noise(VARIED.iloc[:0]))
 
 
 def test_the_training_curve_names_the_step_with_the_least_validation_divergence():
-    first, second = plots.training({"pointnetkl": LOSS, "network": LOSS.iloc[:2]}).axes
+    first, second = label_figures.training({"pointnetkl": LOSS, "network": LOSS.iloc[:2]}).axes
     assert first.get_title() == "pointnetkl, kept: step 3, 2 nats"
     assert second.get_title() == "network, kept: step 2, 2.5 nats"
 
 
 def test_a_training_curve_without_a_validation_is_still_drawn():
-    assert plots.png(plots.training({"pointnetkl": LOSS.assign(validation=np.nan)}))
+    assert plots.png(label_figures.training({"pointnetkl": LOSS.assign(validation=np.nan)}))
 
 
 def test_a_validation_before_the_first_step_is_drawn():
     before = pd.DataFrame({"step": [0], "training": [np.nan], "validation": [7.0]})
-    axes = plots.training({"network": pd.concat([before, LOSS])}).axes[0]
+    axes = label_figures.training({"network": pd.concat([before, LOSS])}).axes[0]
     trained, judged = axes.lines[:2]
     assert judged.get_xdata()[0] == 0
     assert trained.get_xdata()[0] == 1
@@ -150,14 +153,14 @@ def test_a_straight_stretch_is_found_beyond_a_turn():
     corner = np.concatenate(
         [np.stack([np.arange(0, 300, 2.0), np.zeros(150)], -1), [[300.0, y] for y in range(0, 900, 2)]]
     )
-    first, last = figures.straight_stretch(corner, 500.0)
+    first, last = survey_figures.straight_stretch(corner, 500.0)
     assert corner[first, 0] == corner[last, 0] == 300.0
     assert corner[last, 1] - corner[first, 1] == pytest.approx(500, abs=4)
 
 
 def test_a_short_survey_gives_a_shorter_stretch():
     line = np.stack([np.linspace(0, 80, 41), np.zeros(41)], -1)
-    assert figures.straight_stretch(line, 500.0) == (0, 40)
+    assert survey_figures.straight_stretch(line, 500.0) == (0, 40)
 
 
 def test_surveys_and_methods_are_called_as_a_reader_calls_them():

@@ -4,8 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.reporting import paper, tables, text_table
+from pointnetkl.reporting import paper, text_table
+from pointnetkl.reporting.covariances import tables as covariance_tables
+from pointnetkl.reporting.labels import tables as label_tables
 from pointnetkl.reporting.slam import tables as slam_tables
+from pointnetkl.reporting.surveys import tables as survey_tables
 
 DATASETS = {
     "baltic": {"simulated": True, "vehicle": "surveyor", "area_km2": 252.4, "submaps": 7543, "sigma_z": 0.067827},
@@ -43,24 +46,24 @@ def rows(block: text_table.Block, **where: object) -> list[dict[str, object]]:
 
 
 def test_a_survey_stands_beside_the_paper_s_with_their_ratio():
-    (row,) = rows(tables.table_1(DATASETS)[0], survey="baltic")
+    (row,) = rows(survey_tables.table_1(DATASETS)[0], survey="baltic")
     assert row["paper_area_km2"] == 504.8
     assert row["ratio_area_km2"] == pytest.approx(0.5)
     assert row["ratio_submaps"] == 1.0
 
 
 def test_a_user_s_survey_has_the_same_columns_and_dashes_for_the_paper():
-    (row,) = rows(tables.table_1(DATASETS)[0], survey="mine")
+    (row,) = rows(survey_tables.table_1(DATASETS)[0], survey="mine")
     assert row["paper_submaps"] is None
     assert row["simulated"] is False
-    line = next(line for line in text_table.markdown(tables.table_1(DATASETS)).splitlines() if "| mine" in line)
+    line = next(line for line in text_table.markdown(survey_tables.table_1(DATASETS)).splitlines() if "| mine" in line)
     assert text_table.UNKNOWN in line
     assert "nan" not in line.lower()
 
 
 def test_table_2_has_every_method_and_the_paper_s_row_below():
     kl = {"training": 0.02, "borno_8": {"constant": {"mean": 3.0}, "pointnetkl": {"mean": 1.5}}, "mine": {}}
-    (block,) = tables.table_2(kl, DATASETS, {"pointnetkl": {"training": 0.02, "validation": 0.05}})
+    (block,) = covariance_tables.table_2(kl, DATASETS, {"pointnetkl": {"training": 0.02, "validation": 0.05}})
     assert list(block.frame) == ["method", "training", "validation", "borno_8 (simulated)", "mine"]
     assert text_table.csv(block.frame).splitlines()[1:] == [
         "constant,,,3.0,",
@@ -71,7 +74,7 @@ def test_table_2_has_every_method_and_the_paper_s_row_below():
 
 def test_table_3_gives_times_as_ratios_to_our_own_label():
     runtime = {"monte_carlo": {"mean_s": 2.0, "std_s": 0.1}, "pointnetkl": {"mean_s": 0.05, "std_s": 0.0}}
-    (block,) = tables.table_3({**runtime, "machine": {"cpu": "toy"}})
+    (block,) = covariance_tables.table_3({**runtime, "machine": {"cpu": "toy"}})
     (row,) = rows(block, method="pointnetkl")
     assert row["times_faster"] == pytest.approx(40)
     assert row["paper_mean_s"] == 0.13
@@ -79,14 +82,14 @@ def test_table_3_gives_times_as_ratios_to_our_own_label():
 
 
 def test_table_3_lists_a_method_that_was_not_timed():
-    (block,) = tables.table_3({"monte_carlo": {"mean_s": 2.0, "std_s": 0.1}}, ["censi", "monte_carlo"])
+    (block,) = covariance_tables.table_3({"monte_carlo": {"mean_s": 2.0, "std_s": 0.1}}, ["censi", "monte_carlo"])
     assert list(block.frame["method"]) == ["censi", "monte_carlo"]
     assert rows(block, method="censi")[0]["mean_s"] is None
 
 
 def test_the_label_s_own_coverage_stands_beside_every_method_s():
     found = {"mine": {"monte_carlo": {"coverage_95": 0.89}, "constant": {"nees": 1.0, "coverage_95": 0.97}}}
-    (row,) = rows(tables.calibrations(found, DATASETS), method="constant")
+    (row,) = rows(covariance_tables.calibrations(found, DATASETS), method="constant")
     assert (row["coverage_95"], row["mc_coverage_95"]) == (0.97, 0.89)
 
 
@@ -109,7 +112,7 @@ def test_every_method_is_listed_with_its_interval():
 
 def test_label_quantiles_of_the_authors_network_stand_below_ours():
     eigenvalues = {"borno_8": np.column_stack([np.linspace(0, 1, 21), np.linspace(5, 9, 21)])}
-    block = tables.label_quantiles(eigenvalues, DATASETS)
+    block = label_tables.label_quantiles(eigenvalues, DATASETS)
     assert [row["of"] for row in rows(block, eigenvalue="smaller")] == ["labels", "authors' network"]
     assert rows(block, eigenvalue="larger", of="labels")[0]["q50_m2"] == pytest.approx(7.0)
 

@@ -15,7 +15,7 @@ import pyarrow as pa
 from pointnetkl.registration.covariance import table
 from pointnetkl.reporting import terrain
 from pointnetkl.slam.consistency import consistency_map
-from pointnetkl.surveys import submap, survey
+from pointnetkl.surveys import submap, survey, voxel
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import Study
@@ -127,6 +127,11 @@ class Labels:
     rows: pd.DataFrame  # schema LABELS, all of the above and how the registrations went
     parameters: dict[str, Any]
 
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """The eigenvalues (k, 2) of the labels in x, y, m^2, the smaller first."""
+        return np.asarray(np.linalg.eigvalsh(self.q[:, :2, :2]))
+
 
 @dataclass(frozen=True)
 class Test:
@@ -180,6 +185,12 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
         registration_errors=graph["registration_error_truth_m"][first],
         track=bool(graph.get("track", True)),
     )
+
+
+def read_canonical(folders: Folders, name: str) -> voxel.Clouds:
+    """Read a survey's normalised clouds."""
+    path = folders.data / f"clouds/{name}.npz"
+    return voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path))
 
 
 def read_variations(folders: Folders, study: Study) -> pd.DataFrame:

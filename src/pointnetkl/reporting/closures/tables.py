@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pointnetkl.reporting.tables import COVERAGES
+from pointnetkl.reporting.covariances.tables import COVERAGES
 from pointnetkl.reporting.text_table import Block, block
 
 Numbers = Mapping[str, Any]

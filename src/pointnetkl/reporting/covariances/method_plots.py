@@ -62,7 +62,7 @@ def calibration(nees: pd.DataFrame) -> Figure:
     `nees` has a row per survey and method: nees, coverage_95.
     """
     if nees.empty:
-        return plots.without_held_out()
+        return sheet.no_held_out()
     order = _order(nees, np.abs(np.log(nees["nees"].astype(float))))
     figure, grid = _grid(nees, order, 2)
     for panel in _panels(nees, order, grid[0]):

@@ -1,8 +1,7 @@
-"""The numbers of a report, `gaussian.json`, from every stage's artifacts."""
+"""How far methods' covariances are from the labels, and how well they describe errors: whole, by class, size, copy."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,6 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import intervals, terrain
 from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.results import GOLD, OURS, Labels, Settings, Test
-from pointnetkl.slam.graph import footprint
-from pointnetkl.surveys import pose, survey, voxel
 
 # m^2, of a label's larger eigenvalue: a position known to 0.1 m, to 1 m, or worse
 _SIZES = {"below 0.01": (0.0, 0.01), "0.01 to 1": (0.01, 1.0), "above 1": (1.0, np.inf)}
@@ -32,42 +29,6 @@ class Judged:
         return Judged(
             self.labels[which], {name: q[which] for name, q in self.covariances.items()}, self.held_out[which]
         )
-
-
-def simulated_from(raw: str, simulate: Mapping[str, Any]) -> str | None:
-    """Return the entry of `simulate` that a survey's raw pings come from, None if they are somebody's own."""
-    folder, name = ("", *PurePath(raw).parts)[-2:]
-    return name if folder == "raw" and name in simulate else None
-
-
-def dataset(
-    clouds: Sequence[np.ndarray],
-    poses: pd.DataFrame,
-    pings: pd.DataFrame,
-    labels: Labels,
-    canonical: voxel.Clouds,
-    cell_m: float,
-) -> dict[str, Any]:
-    """Return a survey's size and density: clouds (n_i, 3) in submap frames, poses and pings by navigation."""
-    counts = np.array([len(points) for points in clouds])
-    return {
-        "submaps": len(clouds),
-        "area_km2": area_km2(clouds, poses, cell_m),
-        "track_km": survey.track_length(pings) / 1e3 if len(pings) else None,
-        "sigma_z": voxel.sigma_z(canonical),
-        "points_mean": float(counts.mean()),
-        "points_std": float(counts.std()),
-        "spacing_m": float(np.median(labels.spacing_m)),
-    }
-
-
-def area_km2(clouds: Sequence[np.ndarray], poses: pd.DataFrame, cell_m: float) -> float:
-    """Return the area of the union of the submaps' footprints: cells of `cell_m` metres that hold a point."""
-    placed = (
-        footprint.cells(pose.transform(pose.matrix(np.array([row.x_m, row.y_m, row.z_m]), row.yaw_rad), points), cell_m)
-        for row, points in zip(poses.itertuples(), clouds, strict=True)
-    )
-    return len(np.unique(np.concatenate(list(placed)))) * cell_m**2 / 1e6
 
 
 def judged(labels: Labels, test: Test) -> Judged:

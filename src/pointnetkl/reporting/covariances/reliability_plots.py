@@ -9,7 +9,7 @@ from scipy import stats
 
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.reporting import paper
-from pointnetkl.reporting.drawing import families, plots
+from pointnetkl.reporting.drawing import families, plots, sheet
 
 LEVELS = np.array([0.005, *np.arange(0.01, 1.0, 0.01), 0.995])
 EMPTY = pd.DataFrame({"survey": [], "method": [], "nominal": [], "observed": []})
@@ -38,7 +38,7 @@ def reliability(table: pd.DataFrame) -> Figure:
     `table` has the columns of `coverage`. Below the diagonal a method is too sure of itself.
     """
     if table.empty:
-        return plots.without_held_out()
+        return sheet.no_held_out()
     surveys = list(dict.fromkeys(table["survey"]))
     across = min(3, len(surveys))
     down = -(-len(surveys) // across)

@@ -1,28 +1,110 @@
-"""Tables that split the measures: by terrain class, by the label's size, by its copy."""
+"""Tables of covariances: Tables II and III, calibration, and measures by terrain class, size of label and copy."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from decimal import Decimal
 from typing import Any
 
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.reporting import paper
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.reporting.tables import COVERAGES
-from pointnetkl.reporting.text_table import Block, Numbers, block, interval
+from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, heading, interval
 
 UNSEEN = "not in training"
+COVERAGES = tuple(f"coverage_{round(100 * share)}" for share in gaussian.COVERAGES)
 _WHICH = ("survey", "simulated", "class", "training", "submaps")
 
 
-def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
-    """Return the tables by the stems of their files: long ones to compute with, and `terrain`, which is to be read."""
-    split = {
+def every(
+    numbers: Numbers, datasets: Numbers, training: Numbers, runtime: Numbers, methods: Collection[str]
+) -> dict[str, list[Block]]:
+    """Return the tables by the stems of their files; `methods` have a row in Table III, timed or not."""
+    kl = divergences(numbers["kl"], datasets)
+    return {
+        "table_2": [*table_2(numbers["kl"], datasets, training), kl],
+        "table_3": table_3(runtime, methods),
+        "kl": [kl],
+        "calibration": [calibrations(numbers["calibration"], datasets)],
+        **split(numbers, datasets),
+    }
+
+
+def split(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
+    """Return the tables that split the measures: long ones to compute with, and `terrain`, which is to be read."""
+    long = {
         "by_class": by_class(numbers["by_class"], datasets),
         "by_size": by_size(numbers["by_size"], datasets),
         "by_copy": by_copy(numbers["by_copy"], datasets),
     }
-    wide = [block for blocks in split.values() for block in blocks[1:]]
+    wide = [block for blocks in long.values() for block in blocks[1:]]
     return {
         "terrain": [terrains(numbers["terrain"], datasets), *wide],
-        **{name: blocks[:1] for name, blocks in split.items()},
+        **{name: blocks[:1] for name, blocks in long.items()},
     }
+
+
+def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
+    """Return Table II: mean KL divergence (nats) of every method in training, validation and on each test survey.
+
+    `training` has what is known of methods that learn, {method: {"training": ..., "validation": ...}}, nats.
+    """
+    surveys = [name for name in kl if name in datasets]
+    methods = dict.fromkeys(method for name in surveys for method in kl[name])
+    rows = [
+        {
+            "method": method,
+            **training.get(method, {}),
+            **{heading(name, datasets): kl[name].get(method, {}).get("mean") for name in surveys},
+        }
+        for method in methods
+    ]
+    # decimals are written as they are: the paper's numbers as it prints them
+    known = {heading(n, datasets) if n in datasets else n: Decimal(str(value)) for n, value in paper.KL.items()}
+    rows.append({"method": "pointnetkl, the paper", **known})
+    caption = "Table II. Mean KL divergence by method, nats; training: cello's by left-out blocks, others in sample."
+    columns = ["method", "training", "validation", *(heading(name, datasets) for name in surveys)]
+    return [block(caption, rows, columns)]
+
+
+def divergences(kl: Numbers, datasets: Numbers) -> Block:
+    """Return KL(label || Q) in nats and the axis error of every method on every test survey."""
+    rows = [{**row, **interval(row.get("ci95")), "paper": _paper_kl(row)} for row in by_method(kl, datasets)]
+    columns = ["survey", "simulated", "method", "mean", "ci_low", "ci_high", "median", "mean_floor0", "axis_error_deg"]
+    columns += ["network_better", "paper"]
+    return block("KL(label || Q) by method, nats; the interval is of the mean.", rows, columns)
+
+
+def calibrations(calibration: Numbers, datasets: Numbers) -> Block:
+    """Return NEES and coverage of every method on held-out registration errors."""
+    columns = ["survey", "simulated", "method", "nees", *COVERAGES, "mc_coverage_95"]
+    gold = {name: methods.get(GOLD, {}).get("coverage_95") for name, methods in calibration.items()}
+    rows = [{**row, "mc_coverage_95": gold[row["survey"]]} for row in by_method(calibration, datasets)]
+    return block("Calibration on registration errors that no label has seen.", rows, columns)
+
+
+def table_3(runtime: Numbers, methods: Collection[str] = ()) -> list[Block]:
+    """Return Table III: seconds per submap of `methods` and whatever else was timed, the paper's beside."""
+    times = {name: of for name, of in runtime.items() if isinstance(of, Mapping) and "mean_s" in of}
+    gold = times.get(GOLD, {}).get("mean_s")
+    rows = [
+        {
+            "method": name,
+            **times.get(name, {}),
+            "times_faster": gold / times[name]["mean_s"] if gold and name in times and times[name]["mean_s"] else None,
+            **dict(zip(("paper_mean_s", "paper_std_s"), paper.RUNTIME.get(name, (None, None)), strict=True)),
+        }
+        for name in dict.fromkeys([*methods, *times])
+    ]
+    columns = ("method", "mean_s", "std_s", "times_faster", "paper_mean_s", "paper_std_s")
+    caption = f"Table III. Seconds per submap. Ours: {machine(runtime)}. The paper: {paper.RUNTIME_MACHINE}."
+    return [block(caption, rows, columns)]
+
+
+def machine(runtime: Numbers) -> str:
+    """Return the machine that the times are of, and how many submaps, points and label runs, in words."""
+    named = dict(runtime.get("machine", {}))
+    timed = named.pop("params", {})  # what was timed
+    kept = {key: timed[key] for key in ("submaps", "points", "runs") if key in timed}
+    return ", ".join(f"{key} {value}" for key, value in (named | kept).items())
 
 
 def terrains(found: Numbers, datasets: Numbers) -> Block:
@@ -107,3 +189,7 @@ def _wide(caption: str, rows: Sequence[Mapping[str, Any]], which: Sequence[str],
         line[row["method"]] = row[measure]
     methods = dict.fromkeys(row["method"] for row in kept)
     return block(caption, list(lines.values()), [*which, *methods])
+
+
+def _paper_kl(row: Numbers) -> float | None:
+    return paper.KL.get(row["survey"]) if row["method"] == "pointnetkl" else None

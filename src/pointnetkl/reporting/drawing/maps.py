@@ -1,49 +1,11 @@
-"""Figures of the seabed, and rasters of it to draw: a figure is a function of arrays, in metres."""
-
-from collections.abc import Mapping
+"""Rasters of the seabed to draw, in metres."""
 
 import numpy as np
 from matplotlib.colors import LightSource
-from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
-
-from pointnetkl.reporting import paper
-from pointnetkl.reporting.drawing import plots
 
 DEPTHS = "viridis_r"  # perceptually even; deep is dark
 _CELLS = 260  # of a depth map along its longer side, at most
 _SPACINGS = 2.5  # between nearest neighbours, to a cell: fewer leave holes
-
-
-def swath(soundings: np.ndarray, survey: str) -> Figure:
-    """Draw a piece of a swath, as the paper's Fig. 2, from soundings (n, 3): along track, across, z; metres."""
-    x, y, z = soundings.T
-    height = (plots.WIDTH_IN - 0.8) * float(np.ptp(y) / np.ptp(x))
-    figure = Figure((plots.WIDTH_IN, height + 1.5), layout="constrained")
-    axes = figure.subplots()
-    side_m = 1.5 * float(np.sqrt(np.ptp(x) * np.ptp(y) / len(x)))  # of a sounding's share of the area
-    side_points = side_m * 72 * (plots.WIDTH_IN - 0.8) / float(np.ptp(x))
-    drawn = axes.scatter(x, y, c=-z, s=side_points**2, marker="s", cmap=DEPTHS, lw=0)
-    axes.set(xlabel="along the track (m)", ylabel="across (m)", title=paper.title(survey), aspect="equal")
-    axes.margins(0)
-    figure.colorbar(drawn, ax=axes, label="depth (m)", orientation="horizontal", aspect=50, shrink=0.7)
-    return figure
-
-
-def canonical(clouds: Mapping[str, np.ndarray]) -> Figure:
-    """Draw all the normalised points (n, 3) of each survey in one unit sphere, as the paper's Fig. 3."""
-    figure = Figure((plots.WIDTH_IN, 4.0))
-    for i, (survey, points) in enumerate(clouds.items()):
-        axes = Axes3D(figure, rect=(i / len(clouds), 0.02, 1 / len(clouds), 0.92))
-        figure.add_axes(axes)
-        axes.scatter(*points.T, c=points[:, 2], cmap="viridis", vmin=-0.6, vmax=0.6, s=1.2, lw=0, alpha=0.7)
-        axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1), title=paper.title(survey))
-        axes.set(xlabel="x / ρ along the track", ylabel="y / ρ to port", zlabel="z / ρ up")
-        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-            axis.set_ticks([-1, 0, 1])
-        axes.set_box_aspect((1, 1, 1), zoom=0.9)
-        axes.view_init(elev=18, azim=-60)
-    return figure
 
 
 def raster(

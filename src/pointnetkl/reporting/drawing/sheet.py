@@ -29,6 +29,11 @@ def no_track() -> Figure:
     return nothing("no test survey has a track")
 
 
+def no_held_out() -> Figure:
+    """Return a figure that says why there is nothing to draw of held-out errors."""
+    return nothing("no held-out errors: label.held_out_runs is 0")
+
+
 def nothing(words: str) -> Figure:
     """Return a figure that says why there is nothing to draw."""
     figure = sheet(0.6)

@@ -1,6 +1,7 @@
-"""Figures of what a label depends on: its number of runs, the spacing of the points, the noise of the copy."""
+"""Figures of labels: their eigenvalues, how networks learn them, and what a label depends on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,11 +14,84 @@ from numpy.typing import ArrayLike
 from pointnetkl.reporting import paper, text_table
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.labels import numbers as label_study
+from pointnetkl.reporting.results import Labels
 
 _COPIES = ("same", "split")
 _COLOURS = {"smaller": plots.BLUE, "larger": plots.ORANGE}
 _SURVEYS = (plots.BLUE, plots.ORANGE, plots.PURPLE, plots.GREEN)
 _LOWEST_M2 = 1e-7  # of an axis: a registration that stops at steps of 1 mm knows no less
+
+
+def every(
+    labels: Mapping[str, Labels],
+    variations: pd.DataFrame,
+    losses: Mapping[str, pd.DataFrame],
+    runtime: Mapping[str, Any],
+    floor_m2: float,
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures by name; `variations` has the schema label_table.VARIATIONS, `losses` are by model."""
+    prior_m2 = float(next(iter(labels.values())).parameters["label"]["prior_variance_m2"])
+    yield "training", training(losses)
+    yield "labels", eigenvalues({name: each.eigenvalues for name, each in labels.items()}, prior_m2, floor_m2)
+    yield from dependence(variations, prior_m2, runtime)
+
+
+def eigenvalues(labels: Mapping[str, np.ndarray], prior_m2: float, floor_m2: float) -> Figure:
+    """Draw the spread of the labels' eigenvalues: {survey: (k, 2) m^2, smaller first}.
+
+    Boxes span the quartiles, whiskers 5 to 95 %. Crosses are the same quantiles of the authors' network's Q.
+    """
+    figure = Figure((plots.WIDTH_IN, 1.1 + 0.75 * len(labels)), layout="constrained")
+    axes = figure.subplots()
+    axes.use_sticky_edges = False  # of boxes: on a logarithmic axis they would cut whiskers off
+    for row, (survey, values) in enumerate(labels.items()):
+        for side, (name, colour) in enumerate((("smaller", plots.BLUE), ("larger", plots.ORANGE))):
+            height = row + 0.2 * (2 * side - 1)
+            _box(axes, values[:, side], height, colour)
+            if survey in paper.EIGENVALUES:
+                quantiles = paper.EIGENVALUES[survey][name]
+                axes.plot(quantiles, [height + 0.14] * len(quantiles), "x", color=colour, markersize=5)
+    for value, text, side_ in ((prior_m2, "prior ", "right"), (floor_m2, " floor", "left")):
+        axes.axvline(value, color=plots.GREY, linestyle=":", linewidth=1)
+        axes.annotate(text, (value, -0.55), color=plots.GREY, va="top", ha=side_)
+    for name, style in (("smaller", {"color": plots.BLUE}), ("larger", {"color": plots.ORANGE})):
+        axes.plot([], [], linewidth=6, alpha=0.6, label=f"{name} eigenvalue", **style)  # type: ignore[arg-type]
+    axes.plot([], [], "x", color=plots.GREY, label="the authors' network")
+    axes.set(xscale="log", xlabel="eigenvalue of the label (m²)", ylim=(len(labels) - 0.4, -0.6))
+    axes.set_yticks(range(len(labels)), [paper.title(survey) for survey in labels])
+    plots.plain_log(axes, "x")
+    axes.grid(axis="x", alpha=0.3)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def training(losses: Mapping[str, pd.DataFrame]) -> Figure:
+    """Draw the KL divergence in training and validation by optimiser step, and mark the weights that were kept.
+
+    A panel for each model. A loss has the columns step, training, validation (nats; validation may be missing between
+    evaluations, training at step 0, before there was any).
+    """
+    figure = Figure((plots.WIDTH_IN, 0.5 + 2.9 * len(losses)), layout="constrained")
+    grid = figure.subplots(len(losses), 1, squeeze=False, sharex=False).ravel()
+    for axes, (model, loss) in zip(grid, losses.items(), strict=True):
+        trained, judged = loss.dropna(subset=["training"]), loss.dropna(subset=["validation"])
+        axes.plot(trained["step"], trained["training"], color=plots.SKY, lw=1, label="training, since the point before")
+        axes.plot(judged["step"], judged["validation"], color=plots.BLUE, marker=".", label="validation")
+        axes.set(xlabel="optimiser step", ylabel="KL divergence (nats)", yscale="log")
+        axes.set_title(model + (_mark_kept(axes, judged) if len(judged) else ""), fontsize=10)
+        plots.plain_log(axes, "y")
+        axes.grid(alpha=0.3)
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def dependence(variations: pd.DataFrame, prior_m2: float, runtime: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of what a label depends on (label_table.VARIATIONS), by name."""
+    runs = runtime.get("machine", {}).get("params", {}).get("runs")
+    seconds = runtime["monte_carlo"]["mean_s"] / runs if runs and "monte_carlo" in runtime else None
+    yield "cost_accuracy", cost_accuracy(label_study.accuracy(variations), seconds)
+    yield "spacing", spacing(label_study.by_spacing(variations), prior_m2)
+    yield "noise", noise(label_study.by_noise(variations))
 
 
 def cost_accuracy(accuracy: pd.DataFrame, seconds: float | None) -> Figure:
@@ -128,3 +202,18 @@ def _seconds_axis(axes: Axes, seconds: float) -> None:
 
 def _times(factor: float) -> Callable[[ArrayLike], ArrayLike]:
     return lambda values: np.asarray(values) * factor
+
+
+def _box(axes: Axes, values: np.ndarray, height: float, colour: str) -> None:
+    q05, q25, q50, q75, q95 = np.quantile(values, paper.QUANTILES)
+    axes.plot([q05, q95], [height, height], color=colour, linewidth=1.2)
+    axes.barh(height, q75 - q25, left=q25, height=0.2, color=colour, alpha=0.6)
+    axes.plot([q50, q50], [height - 0.13, height + 0.13], color="black", linewidth=1.5)
+
+
+def _mark_kept(axes: Axes, judged: pd.DataFrame) -> str:
+    """Ring the least validation divergence; return what the title says of it."""
+    best = judged.loc[judged["validation"].idxmin()]
+    axes.axvline(best["step"], color=plots.GREY, linestyle=":", linewidth=1)
+    axes.plot(best["step"], best["validation"], "o", mfc="none", mec=plots.RED, markersize=10)
+    return f", kept: step {best['step']:.0f}, {best['validation']:.3g} nats"

@@ -1,15 +1,45 @@
-"""Tables of how sure labels are, and of what they depend on that the paper leaves open."""
+"""Tables of labels: their eigenvalues, how sure they are, and what they depend on that the paper leaves open."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pandas as pd
 
+from pointnetkl.reporting import paper
 from pointnetkl.reporting.labels import numbers as label_study
-from pointnetkl.reporting.text_table import Block, block
+from pointnetkl.reporting.results import Labels
+from pointnetkl.reporting.text_table import Block, Numbers, block
 
-Numbers = Mapping[str, Any]
+
+def every(labels: Mapping[str, Labels], variations: pd.DataFrame, datasets: Numbers) -> dict[str, list[Block]]:
+    """Return the tables by the stems of their files; `variations` has the schema label_table.VARIATIONS."""
+    return {
+        "labels": [label_quantiles({name: each.eigenvalues for name, each in labels.items()}, datasets)],
+        "label_quality": [quality({name: each.rows for name, each in labels.items()}, datasets)],
+        "label_accuracy": [accuracy(label_study.accuracy(variations), datasets)],
+        "label_noise": [noise(label_study.by_noise(variations), datasets)],
+        "label_conditions": [conditions(label_study.conditions(variations), datasets)],
+    }
+
+
+def label_quantiles(eigenvalues: Mapping[str, np.ndarray], datasets: Numbers) -> Block:
+    """Return quantiles of the labels' eigenvalues, {survey: (k, 2) m^2}, and of the authors' network's."""
+    names = [f"q{round(100 * q):02d}_m2" for q in paper.QUANTILES]
+    rows = [
+        {
+            "survey": survey,
+            "simulated": simulated,
+            "eigenvalue": side,
+            "of": of,
+            **dict(zip(names, values, strict=True)),
+        }
+        for survey, found in eigenvalues.items()
+        for i, side in enumerate(("smaller", "larger"))
+        for of, simulated, values in _quantiles(survey, side, found[:, i], datasets)
+    ]
+    return block(
+        "Quantiles of the eigenvalues of the labels, m².", rows, ["survey", "simulated", "eigenvalue", "of", *names]
+    )
 
 
 def quality(labels: Mapping[str, pd.DataFrame], datasets: Numbers) -> Block:
@@ -75,3 +105,11 @@ def conditions(labels: pd.DataFrame, datasets: Numbers) -> Block:
 
 def _spread(of: pd.DataFrame, column: str, name: str) -> dict[str, float]:
     return {name: float(of[column].median()), f"{name}_max": float(of[column].max())}
+
+
+def _quantiles(
+    survey: str, side: str, values: np.ndarray, datasets: Numbers
+) -> Iterator[tuple[str, bool, list[float]]]:
+    yield "labels", datasets[survey]["simulated"], [float(q) for q in np.quantile(values, paper.QUANTILES)]
+    if survey in paper.EIGENVALUES:
+        yield "authors' network", False, list(paper.EIGENVALUES[survey][side])

@@ -1,15 +1,39 @@
-"""The report's words on how sure a label is, and on what it depends on that the paper leaves open."""
-
-from collections.abc import Mapping, Sequence
+"""The page's words on labels: their size, how sure they are, what they depend on, and how networks learn them."""
 
 import pandas as pd
 
 from pointnetkl.reporting.page import Section
-from pointnetkl.reporting.text_table import Block, cell
+from pointnetkl.reporting.text_table import Blocks, cell
 
 
-def section(shown: Mapping[str, Sequence[Block]]) -> Section:
-    """Return the section around the tables of label_tables, by the stems of their files."""
+def eigenvalues(shown: Blocks) -> Section:
+    """Return the section of the labels' eigenvalues and of how sure they are."""
+    return Section(
+        "Labels",
+        (
+            "A label is the second moment of the registration's errors from starts drawn about the truth (variance:"
+            " the prior, 9 m² in the paper). Near the prior the seabed told nothing, near 0 the position. The"
+            " smaller eigenvalue is of the direction that the terrain holds best. Whiskers of the figure span 5"
+            " to 95 %, boxes the quartiles.",
+            "relative_error is the largest standard error of the label's variance in any direction, as a share of it,"
+            " from the errors' fourth moments: the median over submaps, and what 95 % of them stay below. bias is the"
+            " mean error (m), part of the label, and bias_share its square's share of it. main_basin_share is the share"
+            " of runs within three robust sigmas of the most common outcome: 0.99 where there is one basin.",
+        ),
+        [*shown["labels"], *shown["label_quality"]],
+        {"labels": "Eigenvalues of the labels. Crosses: quantiles of what the authors' network predicts there."},
+        (
+            "label.copy same registers a submap to a noisy copy of its very points, as the paper does. That"
+            " flatters: an independent pass over the same ground has other points. Where points lie farther"
+            " apart than the starts spread (self_matching, a share of the survey's submaps), the copy finds"
+            " itself.",
+            "The authors' network's values are its predictions on its own surveys, not labels: a loose guide, no goal.",
+        ),
+    )
+
+
+def dependence(shown: Blocks) -> Section:
+    """Return the section of what a label depends on."""
     accuracy, noise = (shown[name][0].frame for name in ("label_accuracy", "label_noise"))
     return Section(
         "What a label depends on",
@@ -44,6 +68,20 @@ def section(shown: Mapping[str, Sequence[Block]]) -> Section:
             " soundings of the same ground would turn (mean_x_m, mean_y_m of label_conditions.csv; bias_share above).",
             "Few submaps, and few parts at the largest L: its points are rough.",
         ),
+    )
+
+
+def training() -> Section:
+    """Return the section of how networks learn the labels."""
+    return Section(
+        "Training",
+        (
+            "KL divergence to the labels as the network learns. Validation submaps are blocks along the track:"
+            " few of them have an overlapping neighbour that is trained on, though adjacent lines still share some"
+            " ground. The ring marks the weights that were kept. The floor (floor_m2 of a model's train) is added to"
+            " label and answer alike before they are compared, and is in neither when Q is used.",
+        ),
+        figures={"training": "KL divergence (nats) by optimiser step, a panel for each model (the paper's Fig. 4)."},
     )
 
 

@@ -16,12 +16,16 @@ _MINUS = ("", "_se2", "_relative")  # in the names of network's error less a met
 _AUTHORS = "Table IV with the authors' two slips, from the same graphs and noises, metres."
 
 
-def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
-    """Return the tables by the stem of their files; `numbers` as the report has them."""
+def every(numbers: Numbers, map_thinning: pd.DataFrame, datasets: Numbers) -> dict[str, list[Block]]:
+    """Return the tables by the stems of their files; `map_thinning` has the schema THINNING."""
+    errors, by_draw = slam_errors(numbers["slam"], datasets), draws(numbers["slam"], datasets)
     return {
+        "table_4": [*table_4(numbers["slam"], datasets), errors, by_draw],
+        "slam": [errors],
         "table_4_authors": table_4(numbers["slam_authors"], datasets, _AUTHORS),
-        "slam_draws": [draws(numbers["slam"], datasets)],
+        "slam_draws": [by_draw],
         "slam_variants": [variants(numbers["slam_variants"], datasets)],
+        "map_thinning": [thinning(map_thinning, datasets)],
     }
 
 

@@ -1,16 +1,16 @@
-"""Tables of what was cleaned out of each survey before submaps were labelled: how much, and why."""
+"""Tables of surveys: Table I, and what was left out of each survey before it was cut, and why."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import pyarrow.parquet as pq
 
-from pointnetkl.reporting.text_table import Block, block
+from pointnetkl.reporting import paper
+from pointnetkl.reporting.results import Folders
+from pointnetkl.reporting.text_table import Block, Numbers, block
 from pointnetkl.workflow import artifacts
 
-Numbers = Mapping[str, Any]
-
+_SIZES = ("area_km2", "submaps", "sigma_z")
 _FLAGS = ("rejected", "impossible", "outliers")
 DROPPED = {  # columns, by the words of stage segment
     "alone": "soundings standing alone",
@@ -29,11 +29,11 @@ _IN_WORDS = {
 }
 
 
-def read(data: Path, surveys: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return what stages ingest and segment counted of each survey, from the artifacts in the folder."""
+def read(folders: Folders, surveys: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return what stages ingest and segment counted of each survey, from their artifacts."""
     found = {}
     for name in surveys:
-        pings, poses = data / f"surveys/{name}/pings.parquet", data / f"submaps/{name}_poses.parquet"
+        pings, poses = folders.data / f"surveys/{name}/pings.parquet", folders.data / f"submaps/{name}_poses.parquet"
         found[name] = {
             "ingest": artifacts.table_metadata(pings).get("report", {}),
             "segment": artifacts.table_metadata(poses).get("dropped", {}),
@@ -41,6 +41,26 @@ def read(data: Path, surveys: Iterable[str]) -> dict[str, dict[str, Any]]:
             "submaps": pq.read_metadata(poses).num_rows,
         }
     return found
+
+
+def every(cleaned: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
+    """Return the tables by the stems of their files; `cleaned` is what `read` returns."""
+    return {"table_1": table_1(datasets), "cleaning": cleaning(cleaned, datasets)}
+
+
+def table_1(datasets: Numbers) -> list[Block]:
+    """Return Table I: each survey's vehicle, area, submaps and sigma_z, the paper's beside; then their density."""
+    rows = [{"survey": name, **numbers, **_paper_sizes(name, numbers)} for name, numbers in datasets.items()]
+    sizes = [column for size in _SIZES for column in (size, f"paper_{size}", f"ratio_{size}")]
+    density = ("track_km", "points_mean", "points_std", "spacing_m", "label_runs", "self_matching")
+    return [
+        block(
+            "Table I. Surveys: size, and spread of the normalised points.",
+            rows,
+            ["survey", "simulated", "vehicle", *sizes],
+        ),
+        block("Points per registration cloud, and registrations per label.", rows, ["survey", "simulated", *density]),
+    ]
 
 
 def cleaning(found: Numbers, datasets: Numbers) -> list[Block]:
@@ -76,3 +96,11 @@ def _reasons(of: Numbers) -> Iterator[tuple[str, str, int]]:
         ("segment", of["segment"]),
     ):
         yield from ((stage, _IN_WORDS.get(why, why), count) for why, count in counts.items() if count)
+
+
+def _paper_sizes(name: str, ours: Numbers) -> dict[str, Any]:
+    if name not in paper.DATASETS:
+        return {}
+    theirs = {size: getattr(paper.DATASETS[name], size) for size in _SIZES}
+    ratios = {f"ratio_{size}": ours[size] / theirs[size] for size in _SIZES}
+    return {**{f"paper_{size}": value for size, value in theirs.items()}, **ratios}

@@ -6,8 +6,8 @@ import pytest
 
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import results, terrain
-from pointnetkl.reporting.covariances import numbers as summary
-from pointnetkl.reporting.covariances import tables as class_tables
+from pointnetkl.reporting.covariances import numbers as covariances
+from pointnetkl.reporting.covariances import tables as covariance_tables
 
 SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DATASETS = {"a": {"simulated": True}}
@@ -16,30 +16,32 @@ RNG = np.random.default_rng(0)
 Q = RNG.gamma(1.0, 1.0, K)[:, None, None] * np.eye(2)
 CLASSES = np.array(["flat"] * 12 + ["wall"] * 15 + ["rugged"] * 3, dtype=object)
 HELD_OUT = RNG.normal(size=(K, 50, 2)) * np.sqrt(Q[:, :1, 0])[:, None]
-JUDGED = summary.Judged(Q, {"monte_carlo": Q, "network": 1.2 * Q, "constant": np.tile(Q.mean(0), (K, 1, 1))}, HELD_OUT)
+JUDGED = covariances.Judged(
+    Q, {"monte_carlo": Q, "network": 1.2 * Q, "constant": np.tile(Q.mean(0), (K, 1, 1))}, HELD_OUT
+)
 
 
 @pytest.fixture(scope="module")
 def found() -> dict:
     """Measures by class; training has no wall."""
-    return {"a": summary.by_class("a", JUDGED, CLASSES, {"flat", "rugged"}, SETTINGS)}
+    return {"a": covariances.by_class("a", JUDGED, CLASSES, {"flat", "rugged"}, SETTINGS)}
 
 
 def test_the_classes_of_a_survey_make_up_its_mean(found: dict):
-    whole = summary.divergences("a", JUDGED, SETTINGS)["constant"]["mean"]
+    whole = covariances.divergences("a", JUDGED, SETTINGS)["constant"]["mean"]
     parts = [(each["submaps"], each["kl"]["constant"]["mean"]) for each in found["a"].values()]
     assert sum(n for n, _ in parts) == K
     assert sum(n * mean for n, mean in parts) / K == pytest.approx(whole)
 
 
 def test_a_class_that_training_has_not_is_marked(found: dict):
-    frame = class_tables.by_class(found, DATASETS)[0].frame
+    frame = covariance_tables.by_class(found, DATASETS)[0].frame
     marked = frame.groupby("class")["training"].unique().map(list).to_dict()
-    assert marked == {"flat": ["seen"], "rugged": ["seen"], "wall": [class_tables.UNSEEN]}
+    assert marked == {"flat": ["seen"], "rugged": ["seen"], "wall": [covariance_tables.UNSEEN]}
 
 
 def test_monte_carlo_s_own_coverage_stands_beside_every_method_s(found: dict):
-    frame = class_tables.by_class(found, DATASETS)[0].frame
+    frame = covariance_tables.by_class(found, DATASETS)[0].frame
     wall = frame[frame["class"] == "wall"].set_index("method")
     assert set(wall["mc_coverage_95"]) == {wall["coverage_95"]["monte_carlo"]}
     assert wall["coverage_95"]["network"] > wall["coverage_95"]["monte_carlo"]
@@ -54,14 +56,14 @@ def test_the_network_is_compared_with_each_rival_pair_by_pair_where_there_are_en
 
 
 def test_the_short_table_has_a_column_a_method_and_a_row_a_class(found: dict):
-    mean = class_tables.by_class(found, DATASETS)[1].frame
+    mean = covariance_tables.by_class(found, DATASETS)[1].frame
     assert list(mean["class"]) == ["flat", "rugged", "wall"]
     assert mean["constant"][2] == found["a"]["wall"]["kl"]["constant"]["mean"]
     assert "monte_carlo" not in mean
 
 
 def test_sizes_of_labels_make_up_the_whole_and_never_overlap():
-    parts = summary.by_size(JUDGED, SETTINGS)
+    parts = covariances.by_size(JUDGED, SETTINGS)
     assert sum(each["submaps"] for each in parts.values()) == K
     above = gaussian.divergence(Q, JUDGED.covariances["constant"], 0.01)[Q[:, 0, 0] >= 1]
     assert parts["above 1"]["kl"]["constant"]["mean"] == pytest.approx(above.mean())
@@ -82,7 +84,7 @@ def variations() -> pd.DataFrame:
 
 def test_both_copies_judge_the_same_submaps_under_the_survey_s_own_conditions():
     labels = type("Labels", (), {"submap": np.arange(100, 100 + K)})
-    found = summary.by_copy("a", labels, JUDGED, variations(), SETTINGS)
+    found = covariances.by_copy("a", labels, JUDGED, variations(), SETTINGS)
     assert [found[copy]["submaps"] for copy in ("same", "split")] == [2, 2]
     assert found["same"]["kl"]["monte_carlo"]["mean"] == pytest.approx(0.0, abs=1e-9)
     expected = gaussian.divergence(3 * Q[[4, 9]], 1.2 * Q[[4, 9]], 0.01).mean()

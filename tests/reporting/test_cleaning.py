@@ -8,8 +8,9 @@ import whole_survey
 from pointnetkl import segmentation
 from pointnetkl.readers import georeference
 from pointnetkl.reporting import text_table
-from pointnetkl.reporting.surveys import tables as cleaning_tables
-from pointnetkl.reporting.surveys import words as cleaning_story
+from pointnetkl.reporting.results import Folders
+from pointnetkl.reporting.surveys import tables as survey_tables
+from pointnetkl.reporting.surveys import words as survey_words
 from pointnetkl.reporting.text_table import Block
 from small_survey import sail
 
@@ -21,7 +22,7 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> list[Block]:
     """The tables of a made-up study."""
     root = tmp_path_factory.mktemp("fake")
     fake_artifacts.write(root)
-    return cleaning_tables.cleaning(cleaning_tables.read(root / "data", DATASETS), DATASETS)
+    return survey_tables.cleaning(survey_tables.read(Folders(root / "data", root, root), DATASETS), DATASETS)
 
 
 def test_every_survey_has_a_row_also_those_that_are_only_trained_on(blocks: list[Block]):
@@ -49,13 +50,13 @@ def test_the_words_are_those_of_the_stages():
     found = whole_survey.cut(
         segmentation.segment, "small", one.pings, [one.soundings], 100.0, 4.0, segmentation.Settings(1, 30.0)
     )
-    assert set(cleaning_tables.DROPPED.values()) <= set(found.dropped)
-    assert set(georeference.FLAGS) <= set(cleaning_tables.cleaning({}, {})[0].frame)
+    assert set(survey_tables.DROPPED.values()) <= set(found.dropped)
+    assert set(georeference.FLAGS) <= set(survey_tables.cleaning({}, {})[0].frame)
 
 
 def test_what_an_artifact_does_not_tell_is_a_dash():
     of = {"ingest": {}, "segment": {}, "pings": 0, "submaps": 3}
-    blocks = cleaning_tables.cleaning({"mine": of}, DATASETS)
+    blocks = survey_tables.cleaning({"mine": of}, DATASETS)
     row = pd.Series(blocks[0].frame.iloc[0])
     assert row["submaps"] == 3
     assert row["pings_left_out"] is None
@@ -63,6 +64,6 @@ def test_what_an_artifact_does_not_tell_is_a_dash():
 
 
 def test_the_section_explains_every_column(blocks: list[Block]):
-    words = " ".join(cleaning_story.section({"cleaning": blocks}).paragraphs)
+    words = " ".join(survey_words.cleaning({"cleaning": blocks}).paragraphs)
     plain = {"survey", "simulated", "pings", "soundings", "soundings_left_out", "submaps", "submaps_left_out"}
     assert all(name in words for name in set(blocks[0].frame) - plain)
