@@ -1,4 +1,4 @@
-"""The same answer: our kernel against the slow reference of the tests, on the same draws, over ground flat to rugged.
+"""The same answer: our kernel against the slow reference, on the same draws, over ground flat to rugged.
 
 Both run until a step is under 1e-6 m (at most 200). Printed for each submap are the share of runs that end within 1 mm
 of each other and the divergence of the two covariances; runs that end farther apart are listed, each with the reason
@@ -94,7 +94,7 @@ def compare(
     moves = rng.standard_normal((arguments.production_runs, 2)) * np.sqrt(label.prior_variance_m2)
     ours, stopped = pair.ours(moves, noise, fine), pair.ours(moves, noise, production)
     runs = arguments.runs
-    theirs, converged = pair.reference(moves[:runs], noise)
+    theirs, converged = pair.by_reference(moves[:runs], noise)
     distance = np.linalg.norm(ours.T_target_copy.translation[:runs] - theirs, axis=1)
     far = np.flatnonzero(distance >= NEAR_M)[: max(listed, 0)]
     early = np.linalg.norm(ours.T_target_copy.translation - stopped.T_target_copy.translation, axis=1)

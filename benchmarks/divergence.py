@@ -1,17 +1,12 @@
 """One submap's registrations by our kernel and by the slow reference, and why two of them may end apart."""
 
-import sys
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pointnetkl.registration import gicp
-
-sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-import reference_gicp  # the tests' own
+from pointnetkl.registration import gicp, reference
 
 NEAR_M = 1e-3  # results under this apart are the same
 STEP_M = 1e-5  # steps that differ by less are the same
@@ -44,14 +39,14 @@ class Pair:
         """
         self.settings = settings
         self.source, self.target = gicp.prepare(source, settings), gicp.prepare(target, settings)
-        self._normals = reference_gicp.normals(self.target.points, self.target.lists)
+        self._target = reference.Cloud(self.target.points, reference.normals(self.target.points, self.target.lists))
         self._tree = cKDTree(self.target.points)
 
     def ours(self, moves: np.ndarray, noise: gicp.Noise, settings: gicp.Settings) -> gicp.Registrations:
         """Register the copies that moves (b, 2) and the noise make of the source."""
         return gicp.register_noisy(self.source, self.target, moves, noise, settings)
 
-    def reference(self, moves: np.ndarray, noise: gicp.Noise) -> tuple[np.ndarray, np.ndarray]:
+    def by_reference(self, moves: np.ndarray, noise: gicp.Noise) -> tuple[np.ndarray, np.ndarray]:
         """Return the reference's translations (b, 2) for the same copies, and whether each converged (b,)."""
         found = [
             self._register(self._copy(move, replace(noise, first=noise.first + i)), _NONE, self.settings)
@@ -84,18 +79,19 @@ class Pair:
             steps=steps,
             differing_steps=int(np.sum(differences >= STEP_M)),
             largest_step_m=float(differences[worst]),
-            ties=self._ties(copy[0] + np.append(path[worst], 0)),
+            ties=self._ties(copy.points + np.append(path[worst], 0)),
         )
 
-    def _copy(self, move: np.ndarray, noise: gicp.Noise) -> tuple[np.ndarray, np.ndarray]:
+    def _copy(self, move: np.ndarray, noise: gicp.Noise) -> reference.Cloud:
         points = self.source.points + np.append(move, 0) + noise.of_runs(1, len(self.source.points))[0]
-        return points, reference_gicp.normals(points, self.source.lists)
+        return reference.Cloud(points, reference.normals(points, self.source.lists))
 
     def _register(
-        self, copy: tuple[np.ndarray, np.ndarray], place: np.ndarray, settings: gicp.Settings
+        self, copy: reference.Cloud, place: np.ndarray, settings: gicp.Settings
     ) -> tuple[np.ndarray, np.ndarray, bool]:
-        moved = copy[0] + np.append(place, 0)
-        return reference_gicp.register(moved, copy[1], self.target.points, self._normals, settings)
+        moved = copy._replace(points=copy.points + np.append(place, 0))
+        T, information, settled = reference.register(moved, self._target, settings)
+        return np.asarray(T.translation), information, settled
 
     def _ties(self, points: np.ndarray) -> int:
         first, second = self._tree.query(points, 2)[0].T

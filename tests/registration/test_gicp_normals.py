@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-import reference_gicp
 import terrains
-from pointnetkl.registration import gicp
+from pointnetkl.registration import gicp, reference
 from pointnetkl.registration.gicp import normals
 
 SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
@@ -28,7 +27,7 @@ def of_copy(cloud: gicp.Cloud, noise: np.ndarray) -> np.ndarray:
 def test_a_noisy_copys_normals_are_those_of_its_own_points(kind: str, noise_m: float, points: int) -> None:
     cloud = gicp.prepare(terrains.cloud(kind, points), SETTINGS)
     noise = np.random.default_rng(1).normal(size=cloud.points.shape).astype(np.float32) * np.float32(noise_m)
-    found, expected = of_copy(cloud, noise), reference_gicp.normals(cloud.points + noise, cloud.lists)
+    found, expected = of_copy(cloud, noise), reference.normals(cloud.points + noise, cloud.lists)
     assert np.allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
     assert (found[:, 2] >= 0).all()
     # where two eigenvalues are nearly the same, any direction between theirs is as good

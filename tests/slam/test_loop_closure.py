@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.slam.closures import graph_construction, loop_closure
+from pointnetkl.slam.closures import graph_construction, loop_closure, reference
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
@@ -250,3 +251,21 @@ def test_submaps_without_poses_are_refused():
 def test_settings_without_sense_are_refused(name: str, value: float):
     with pytest.raises(ValueError, match=f"^{name} is"):
         dataclasses.replace(SETTINGS, **{name: value})
+
+
+@pytest.mark.parametrize("dof", ["xy", "xyyaw"])
+def test_loop_closures_are_those_of_algorithm_1_as_the_paper_writes_it(dof: str):
+    registration = dataclasses.replace(REGISTRATION, dof=dof, tolerance_m=1e-6, max_iterations=200)
+    submaps, truth = sail(3, 3)
+    starts = loop_closure.starts("toy", submaps, SETTINGS, registration.dimensions)
+    closures = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, registration)
+    graph: list[reference.Node] = []
+    edges = []
+    for i, (one, T, start) in enumerate(zip(submaps, truth, starts, strict=True)):
+        perturbation = SE2.from_vector(np.pad(start, (0, 3 - len(start))))
+        added = reference.add(graph, reference.Node(one.points, T), perturbation, SPACING, SETTINGS, registration)
+        edges += [(k, i, T_target_source) for k, T_target_source in added]
+    assert len(edges) > 3
+    assert closures.edges.target.tolist() == [target for target, _, _ in edges]
+    assert closures.edges.source.tolist() == [source for _, source, _ in edges]
+    assert closures.edges.measured == pytest.approx(np.array([T for _, _, T in edges]), abs=2e-3)

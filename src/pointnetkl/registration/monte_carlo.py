@@ -1,4 +1,4 @@
-"""Monte Carlo labels: perturb a submap, register it back, many times; the covariance of the outcome (Eq. 5, 6)."""
+"""Monte Carlo labels: perturb a submap, register it back, many times; the covariance of the outcome (Eq. 10, 11)."""
 
 import zlib
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class Settings:
 class Outcome:
     """What became of L registrations of one submap."""
 
-    errors: np.ndarray  # (L, M) metres and radians: e_l = log(exp(T_hat)^-1 T) of Eq. 5, see `errors`
+    errors: np.ndarray  # (L, M) metres and radians: e_l = log(exp(T_hat)^-1 T) of Eq. 10, see `errors`
     converged: np.ndarray  # (L,) bool
     iterations: np.ndarray  # (L,) int32
 
@@ -97,7 +97,7 @@ def prior_sigmas(settings: Settings, dimensions: int) -> np.ndarray:
 
 
 def covariance(errors: np.ndarray) -> np.ndarray:
-    """Return Q = 1/(L-1) sum e e^T (Eq. 6), (M, M), of errors (L, M); the mean is not subtracted.
+    """Return Q = 1/(L-1) sum e e^T (Eq. 11), (M, M), of errors (L, M); the mean is not subtracted.
 
     Raises:
         MonteCarloError: fewer than two errors.
