@@ -26,7 +26,7 @@ def main(arguments: argparse.Namespace) -> None:
     made, made_with = file.graph, file.made_with
     artifacts.require_survey(name, arguments.submaps)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    how = closure_errors.How(file.number("spacing_m"), graph, label, registration)
+    how = closure_errors.How(submap.read_sampling(arguments.submaps).spacing_m, graph, label, registration)
     rows, measured = closure_errors.measure(made, submaps, chosen, how)
     models = trained.load_all([arguments.model], label, registration)
     reach = None if graph.overlap_factor is None else graph.overlap_factor * how.spacing_m

@@ -6,8 +6,6 @@ Tiles of points have no track: their graph has no edges and says so, and the sta
 import argparse
 from pathlib import Path
 
-import numpy as np
-
 from pointnetkl.registration import gicp
 from pointnetkl.registration.covariance import label_table
 from pointnetkl.slam.closures import graph_construction, loop_closure
@@ -27,8 +25,9 @@ def main(arguments: argparse.Namespace) -> None:
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     q = graph_construction.label_covariances(labels, name)
-    spacing, navigation = float(np.median(labels["spacing_m"])), submap.poses_from_table(poses)
-    if artifacts.table_metadata(arguments.pings).get("kind") == "points":  # tiles, which nobody went along
+    navigation, sampling = submap.poses_from_table(poses), submap.read_sampling(arguments.submaps)
+    spacing = sampling.spacing_m
+    if sampling.kind == survey.POINTS:  # tiles, which no vehicle went along
         made = graph_construction.without_track(name, submaps, navigation, spacing, graph, registration)
     else:
         pings = artifacts.read_table(arguments.pings, survey.PINGS)

@@ -1,70 +1,85 @@
-"""Cut a survey into submaps of equal track length (tiles, where nobody sailed), thin them, and give each its frame."""
+"""Cut a survey into submaps of equal track length (into tiles, where there is no track), thin them, write their poses.
+
+Submaps that another program has cut are kept as they are. What later stages need to know of the survey, its kind and
+its point spacing, stands in the metadata of both tables.
+"""
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from pointnetkl import segmentation
-from pointnetkl.segmentation import tiles
+from pointnetkl.segmentation import spacing, tiles
 from pointnetkl.surveys import submap, survey
+from pointnetkl.surveys.submap import Sampling, Submap
 from pointnetkl.workflow import artifacts, command, parameters, study
 from pointnetkl.workflow.study import StudySurvey
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the survey's pings and soundings; write its submaps and their poses."""
-    how = parameters.read(arguments.params, "segment", segmentation.Settings)
+    settings = parameters.read(arguments.params, "segment", segmentation.Settings)
     line = study.survey(arguments.params, arguments.name)
+    kind = artifacts.table_metadata(arguments.survey / "pings.parquet").get("kind", survey.SWATHS)
     sizes: list[int] = []
+    spacings_m: list[float] = []
     with artifacts.TableWriter(arguments.submaps, submap.POINTS) as points:
 
-        def take(one: submap.Submap) -> None:
-            sizes.append(len(one.points))
-            points.write(submap.to_table([one]))
+        def take(cut: Submap) -> None:
+            rows = submap.to_table([cut])
+            points.write(rows)
+            sizes.append(len(cut.points))
+            stored = cut.points.astype(np.float32)  # as later stages read them
+            spacings_m.append(spacing.between_neighbours(stored.astype(np.float64)))
 
-        found = segmented(arguments, line, how, take)
+        segments = segment(arguments, kind, line, settings, take)
         points.metadata = {
             "survey": arguments.name,
             "params": {
-                "segment": parameters.as_metadata(how),
+                "segment": parameters.as_metadata(settings),
                 "submap_length_m": line.submap_length_m,
                 "point_spacing_m": line.point_spacing_m,
             },
-            "dropped": found.dropped,
+            "dropped": segments.dropped,
+            **asdict(Sampling(kind, float(np.median(spacings_m)))),
         }
-    artifacts.write_table(arguments.poses, found.poses, submap.POSES, points.metadata)
-    print(summary(arguments.name, sizes, found.dropped))
+    artifacts.write_table(arguments.poses, segments.poses, submap.POSES, points.metadata)
+    print(summary(arguments.name, sizes, segments.dropped))
 
 
-def segmented(
-    arguments: argparse.Namespace, line: StudySurvey, how: segmentation.Settings, take: segmentation.Take
+def segment(
+    arguments: argparse.Namespace,
+    kind: str,
+    line: StudySurvey,
+    settings: segmentation.Settings,
+    take: segmentation.Take,
 ) -> segmentation.Segmentation:
     """Cut the survey as its kind demands: a track in lengths, points in tiles, another program's submaps not at all."""
-    pings = arguments.survey / "pings.parquet"
-    parts = artifacts.read_groups(arguments.survey / "soundings.parquet", survey.SOUNDINGS)
-    match artifacts.table_metadata(pings).get("kind", survey.SWATHS):
+    name, pings = arguments.name, arguments.survey / "pings.parquet"
+    soundings = artifacts.read_groups(arguments.survey / "soundings.parquet", survey.SOUNDINGS)
+    length_m, spacing_m = line.submap_length_m, line.point_spacing_m
+    match kind:
         case survey.SWATHS:
-            lengths = (line.submap_length_m, line.point_spacing_m)
             track = artifacts.read_table(pings, survey.PINGS)
-            return segmentation.segment(arguments.name, track, parts, *lengths, how, take)
+            return segmentation.segment(name, track, soundings, length_m, spacing_m, settings, take)
         case survey.SUBMAPS:
-            each = artifacts.read_table(pings, survey.PINGS)
-            return segmentation.keep(arguments.name, each, parts, line.point_spacing_m, how, take)
+            poses = artifacts.read_table(pings, survey.PINGS)
+            return segmentation.keep(name, poses, soundings, spacing_m, settings, take)
         case survey.POINTS:
-            lengths, scratch = (line.submap_length_m, line.point_spacing_m), arguments.submaps.parent
-            return tiles.segment(arguments.name, parts, *lengths, how.seed, take, scratch)
-        case kind:
-            raise segmentation.SegmentationError(
-                f"{pings}: is of kind {kind!r}, must be {survey.SWATHS}, {survey.POINTS} or {survey.SUBMAPS}; run dvc"
-                f" repro ingest@{arguments.name}"
-            )
+            scratch = arguments.submaps.parent
+            return tiles.segment(name, soundings, length_m, spacing_m, settings.seed, take, scratch)
+    raise segmentation.SegmentationError(
+        f"{pings}: is of kind {kind!r}, must be {survey.SWATHS}, {survey.POINTS} or {survey.SUBMAPS}; run dvc"
+        f" repro ingest@{name}"
+    )
 
 
 def summary(name: str, sizes: Sequence[int], dropped: Mapping[str, int]) -> str:
-    """Return one line: how many submaps of how many points, and what was left out."""
-    counts = ", ".join(f"{count} {what}" for what, count in dropped.items() if count)
+    """Return one line: the number of submaps, their points, and what was left out."""
+    counts = ", ".join(f"{count} {reason}" for reason, count in dropped.items() if count)
     return (
         f"{name}: {len(sizes)} submaps of {np.mean(sizes):.0f} +- {np.std(sizes):.0f} points;"
         f" left out: {counts or 'nothing'}"

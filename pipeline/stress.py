@@ -21,8 +21,9 @@ def main(arguments: argparse.Namespace) -> None:
     chosen = parameters.read(arguments.params, "stress", stress.Settings)
     slam = parameters.read(arguments.params, "slam", protocol.Settings)
     file = graph_file.read(arguments.graph, name)
-    cell, coverage = file.number("graph.cell_factor") * file.number("spacing_m"), file.number("graph.coverage")
     artifacts.require_survey(name, arguments.submaps)
+    spacing = submap.read_sampling(arguments.submaps).spacing_m
+    cell, coverage = file.number("graph.cell_factor") * spacing, file.number("graph.coverage")
     covariances = table.read((arguments.estimated, arguments.predicted), name)
     methods = stress.select_methods(protocol.by_method(covariances, slam.floor_m2), chosen, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))

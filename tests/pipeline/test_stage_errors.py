@@ -99,11 +99,12 @@ def test_a_kind_of_model_that_there_is_not(parameters: Path, tmp_path: Path):
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the graph, submaps and covariances of survey toy, and those of a survey of as many submaps."""
     folder, (submaps, made) = tmp_path_factory.mktemp("toy"), graph()
-    made_with = {"spacing_m": 0.8, "graph": {"cell_factor": 5.0, "coverage": 0.6}}
+    made_with = {"graph": {"cell_factor": 5.0, "coverage": 0.6}}
     artifacts.write_arrays(folder / "toy.npz", survey_graph.to_arrays(made), made_with)
     artifacts.write_arrays(folder / "bare.npz", survey_graph.to_arrays(made), {})
     for name in ("toy", "other"):
-        artifacts.write_table(folder / f"{name}.parquet", submap.to_table(submaps), submap.POINTS, {"survey": name})
+        sampling = {"survey": name, "kind": "pings", "spacing_m": 0.8}
+        artifacts.write_table(folder / f"{name}.parquet", submap.to_table(submaps), submap.POINTS, sampling)
         rows = table.from_matrices(name, "network", made.number, np.tile(np.eye(2), (len(made.number), 1, 1)))
         artifacts.write_table(folder / f"{name}_q.parquet", rows, table.SCHEMA, {"survey": name})
     return folder

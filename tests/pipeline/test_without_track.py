@@ -72,7 +72,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     kind = {"kind": "points", "crs": "EPSG:32751", "origin": [5e5, 8e6]}
     for name, frame, schema, metadata in (
-        ("submaps", submap.to_table(submaps), submap.POINTS, {}),
+        ("submaps", submap.to_table(submaps), submap.POINTS, {"kind": "points", "spacing_m": SPACING}),
         ("poses", poses, submap.POSES, {}),
         ("labels", labels, label_table.LABELS, {}),
         ("pings", survey.PINGS.empty_table().to_pandas(), survey.PINGS, kind),

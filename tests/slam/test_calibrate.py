@@ -196,8 +196,9 @@ def test_fewer_than_four_runs_are_refused():
 
 def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: int) -> list[str]:
     """Write what the stage reads; return its command."""
-    artifacts.write_table(folder / "submaps.parquet", submap.to_table(made[0][:submaps]), submap.POINTS, {})
-    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(made[1]), {"spacing_m": SPACING})
+    sampling = {"kind": "pings", "spacing_m": SPACING}
+    artifacts.write_table(folder / "submaps.parquet", submap.to_table(made[0][:submaps]), submap.POINTS, sampling)
+    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(made[1]), {})
     sections = {
         "calibrate": closure_errors.Settings(5, 4),
         "graph": SETTINGS,

@@ -79,3 +79,12 @@ def test_a_point_that_is_nowhere_is_refused_with_its_submap(tmp_path: Path, bad:
     ):
         with pytest.raises(SubmapError, match="small: submap 3 has a point that is not finite"):
             read(tmp_path / "s.parquet")
+
+
+def test_the_sampling_of_a_survey_travels_with_its_submaps(tmp_path: Path):
+    path = tmp_path / "s.parquet"
+    artifacts.write_table(path, submap.to_table([]), submap.POINTS, {"kind": "points", "spacing_m": 2.5})
+    assert submap.read_sampling(path) == submap.Sampling("points", 2.5)
+    artifacts.write_table(path, submap.to_table([]), submap.POINTS, {"kind": "points"})
+    with pytest.raises(SubmapError, match="does not say its survey's kind and spacing_m"):
+        submap.read_sampling(path)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance.label_table import CONDITIONS, RUNS
@@ -129,7 +128,7 @@ def rows(
         "copy": case.copy,
         "noise_sigma_m": case.noise_sigma_m,
         "cell_m": case.thinning * cell_m,
-        "spacing_m": float(np.median(cKDTree(onto).query(onto, 2)[0][:, 1])),
+        "spacing_m": spacing.between_neighbours(onto),
         "points": len(onto),
     }
     counts = settings.run_counts if case.study == RUNS else []

@@ -29,6 +29,11 @@ def thin(points: np.ndarray, edge: float, rng: np.random.Generator) -> np.ndarra
     return order[occupied + drawn]
 
 
+def between_neighbours(points: np.ndarray) -> float:
+    """Return the median distance from a point (n, 3) to its nearest neighbour."""
+    return float(np.median(cKDTree(points).query(points, 2)[0][:, 1]))
+
+
 def alternate(points: np.ndarray, edge: float, rng: np.random.Generator) -> np.ndarray:
     """Return whether (n,) each point (n, 3) is in the second half: of each square cell, every other one at random.
 

@@ -39,6 +39,14 @@ class SubmapError(PointNetKLError):
 
 
 @dataclass(frozen=True)
+class Sampling:
+    """How the points of a survey's submaps came to be: `segment` writes it into the metadata of both tables."""
+
+    kind: str  # of the survey: survey.SWATHS, POINTS or SUBMAPS
+    spacing_m: float  # median over submaps of the median distance from a point to its nearest neighbour
+
+
+@dataclass(frozen=True)
 class Submap:
     """A point cloud in its own levelled frame: x along track, y to port, z up, metres."""
 
@@ -97,6 +105,22 @@ def to_table(submaps: Iterable[Submap]) -> pd.DataFrame:
         for part, p in ((WHOLE, s.points), (FIRST, s.first), (SECOND, s.second))
     ]
     return pd.concat(parts, ignore_index=True) if parts else POINTS.empty_table().to_pandas()
+
+
+def read_sampling(path: Path) -> Sampling:
+    """Return the sampling that is written with a table of POINTS or POSES.
+
+    Raises:
+        SubmapError: the table has none.
+        ArtifactError: the file is missing or damaged.
+    """
+    metadata = artifacts.table_metadata(path)
+    try:
+        return Sampling(str(metadata["kind"]), float(metadata["spacing_m"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SubmapError(
+            f"{path}: does not say its survey's kind and spacing_m ({error}); run dvc repro segment"
+        ) from error
 
 
 def poses_from_table(table: pd.DataFrame) -> np.ndarray:
