@@ -1,4 +1,4 @@
-"""The errors of a survey's loop closures, and covariances measured on them: is what a label says of one submap true?"""
+"""Measure the errors of a survey's loop closures, and covariances of them, to check the labels of single submaps."""
 
 import argparse
 from pathlib import Path
@@ -18,21 +18,21 @@ from pointnetkl.workflow import artifacts, command, parameters
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and its submaps; write a row per registration, and a table of covariances."""
     name = arguments.survey
-    chosen = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
-    graph = parameters.read(arguments.params, "graph", loop_closure.Settings)
-    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    file = graph_file.read(arguments.graph, name, registration.dimensions)
-    made, made_with = file.graph, file.made_with
+    settings = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
+    graph_settings = parameters.read(arguments.params, "graph", loop_closure.Settings)
+    label_settings = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    registration_settings = parameters.read(arguments.params, "registration", gicp.Settings)
+    file = graph_file.read(arguments.graph, name, registration_settings.dimensions)
     artifacts.require_survey(name, arguments.submaps)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    how = closure_errors.How(submap.read_sampling(arguments.submaps).spacing_m, graph, label, registration)
-    rows, measured = closure_errors.measure(made, submaps, chosen, how)
-    models = trained.load_all([arguments.model], label, registration)
-    reach = None if graph.overlap_factor is None else graph.overlap_factor * how.spacing_m
-    covariances = pd.concat([measured, overlap.tabulate(models, made, submaps, reach)], ignore_index=True)
-    metadata = {"survey": name, "calibrate": parameters.as_metadata(chosen), "graph": made_with}
-    dimensions = registration.dimensions
+    spacing = submap.read_sampling(arguments.submaps).spacing_m
+    setup = closure_errors.Setup(spacing, graph_settings, label_settings, registration_settings)
+    rows, measured = closure_errors.measure(file.graph, submaps, settings, setup)
+    models = trained.load_all([arguments.model], label_settings, registration_settings)
+    predicted = overlap.tabulate(models, file.graph, submaps, setup.reach_m)
+    covariances = pd.concat([measured, predicted], ignore_index=True)
+    metadata = {"survey": name, "calibrate": parameters.as_metadata(settings), "graph": file.metadata}
+    dimensions = registration_settings.dimensions
     artifacts.write_table(arguments.closures, rows, tables.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)
 
@@ -42,7 +42,9 @@ if __name__ == "__main__":
     parser.add_argument("survey", help="name of the survey")
     parser.add_argument("--graph", type=Path, required=True, help="its graph")
     parser.add_argument("--submaps", type=Path, required=True, help="points of its submaps")
-    parser.add_argument("--model", type=Path, required=True, help="that is asked about the ground in common")
+    parser.add_argument(
+        "--model", type=Path, required=True, help="model to ask about the common ground of loop closures"
+    )
     parser.add_argument("--closures", type=Path, required=True, help="table of its loop closures' errors to write")
     parser.add_argument("--covariances", type=Path, required=True, help="table of covariances to write")
     command.run(main, parser)

@@ -1,6 +1,6 @@
 """Build a survey's pose graph: GT from navigation, then draws of the loop closures of Algorithm 1.
 
-Tiles of points have no track: their graph has no edges and says so, and the stages after it write tables of no rows.
+Tiles of points have no track. Their graph has no edges, and the stages after it write tables without rows.
 """
 
 import argparse
@@ -15,32 +15,32 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read submaps, poses, labels and truth; write the graph, and how it fared as its metadata."""
+    """Read submaps, poses, labels and truth; write the graph, with its settings and a summary as metadata."""
     name = arguments.survey
-    graph = parameters.read(arguments.params, "graph", loop_closure.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    settings = parameters.read(arguments.params, "graph", loop_closure.Settings)
+    registration_settings = parameters.read(arguments.params, "registration", gicp.Settings)
     tables = (arguments.submaps, arguments.poses, arguments.labels, arguments.pings, arguments.truth)
     artifacts.require_survey(name, *tables)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
-    labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
+    labels = artifacts.read_table(arguments.labels, label_table.schema(registration_settings.dimensions))
     q = graph_construction.label_covariances(labels, name)
     navigation, sampling = submap.poses_from_table(poses), submap.read_sampling(arguments.submaps)
     spacing = sampling.spacing_m
-    if sampling.kind == survey.POINTS:  # tiles, which no vehicle went along
-        made = graph_construction.without_track(name, submaps, navigation, spacing, graph, registration)
+    if sampling.kind == survey.POINTS:  # tiles, which have no track
+        graph = graph_construction.without_track(name, submaps, navigation, spacing, settings, registration_settings)
     else:
         pings = artifacts.read_table(arguments.pings, survey.PINGS)
-        truth = graph_construction.truth_at(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
-        made = graph_construction.build(name, submaps, navigation, truth, q, spacing, graph, registration)
+        truth = graph_construction.true_poses(poses, pings, artifacts.read_table(arguments.truth, survey.TRAJECTORY))
+        graph = graph_construction.build(name, submaps, navigation, truth, q, spacing, settings, registration_settings)
     metadata = {
         "survey": name,
         "spacing_m": spacing,
-        "graph": parameters.as_metadata(graph),
-        "registration": parameters.as_metadata(registration),
-        "summary": survey_graph.summary(made),
+        "graph": parameters.as_metadata(settings),
+        "registration": parameters.as_metadata(registration_settings),
+        "summary": survey_graph.summary(graph),
     }
-    artifacts.write_arrays(arguments.graph, survey_graph.to_arrays(made), metadata)
+    artifacts.write_arrays(arguments.graph, survey_graph.to_arrays(graph), metadata)
 
 
 if __name__ == "__main__":
@@ -49,7 +49,9 @@ if __name__ == "__main__":
     parser.add_argument("--submaps", type=Path, required=True, help="points of its submaps")
     parser.add_argument("--poses", type=Path, required=True, help="their poses by navigation")
     parser.add_argument("--labels", type=Path, required=True, help="their Monte Carlo covariances")
-    parser.add_argument("--pings", type=Path, required=True, help="the vehicle's navigation, whose heading errs")
-    parser.add_argument("--truth", type=Path, required=True, help="true trajectory; no rows where it is not known")
+    parser.add_argument(
+        "--pings", type=Path, required=True, help="the vehicle's navigation, for the error of its heading"
+    )
+    parser.add_argument("--truth", type=Path, required=True, help="true trajectory; without rows where it is not known")
     parser.add_argument("--graph", type=Path, required=True, help="graph to write")
     command.run(main, parser)

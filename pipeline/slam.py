@@ -24,8 +24,8 @@ from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
 
 
-class Found(NamedTuple):
-    """What is written."""
+class Results(NamedTuple):
+    """The content of the stage's outputs."""
 
     rows: pd.DataFrame
     trajectories: pd.DataFrame
@@ -34,45 +34,45 @@ class Found(NamedTuple):
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read the graph and the covariances; write every run's errors, trajectories, and maps of the first."""
+    """Read the graph and the covariances; write the errors of every run, and trajectories and maps of the first."""
     name = arguments.survey
-    chosen = parameters.read(arguments.params, "slam", protocol.Settings)
-    _, graph, made_with = graph_file.read(arguments.graph, name)
+    settings = parameters.read(arguments.params, "slam", protocol.Settings)
+    _, graph, graph_metadata = graph_file.read(arguments.graph, name)
     artifacts.require_survey(name, arguments.submaps, arguments.pings)
     covariances = table.read((arguments.estimated, arguments.predicted, arguments.measured), name)
-    methods = protocol.by_method(covariances, chosen.floor_m2)
+    methods = protocol.by_method(covariances, settings.floor_m2)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    found = solve(graph, methods, submaps, chosen) if graph.track else no_track()
-    for sentence in slam_benchmark.unsolved(found.rows):
+    results = run_benchmark(graph, methods, submaps, settings) if graph.track else without_track()
+    for sentence in slam_benchmark.unsolved(results.rows):
         print(sentence, file=sys.stderr)
-    metadata = {"survey": name, "slam": parameters.as_metadata(chosen), "graph": made_with}
-    artifacts.write_table(arguments.rows, found.rows, slam_tables.ROWS, metadata)
-    artifacts.write_table(arguments.trajectories, found.trajectories, slam_tables.TRAJECTORIES, metadata)
-    frame = consistency_map.Frame(*consistency_map.read_origin(arguments.pings), chosen.map_cell_m)
-    consistency_map.write(arguments.consistency, found.cells, frame, metadata)
-    artifacts.write_table(arguments.map_thinning, found.thinned, consistency_tables.THINNING, metadata)
+    metadata = {"survey": name, "slam": parameters.as_metadata(settings), "graph": graph_metadata}
+    artifacts.write_table(arguments.rows, results.rows, slam_tables.ROWS, metadata)
+    artifacts.write_table(arguments.trajectories, results.trajectories, slam_tables.TRAJECTORIES, metadata)
+    frame = consistency_map.Frame(*consistency_map.read_origin(arguments.pings), settings.map_cell_m)
+    consistency_map.write(arguments.consistency, results.cells, frame, metadata)
+    artifacts.write_table(arguments.map_thinning, results.thinned, consistency_tables.THINNING, metadata)
 
 
-def solve(
-    graph: SurveyGraph, methods: protocol.Methods, submaps: Iterable[submap.Submap], chosen: protocol.Settings
-) -> Found:
-    """Return what the benchmark finds, and what its maps' errors are."""
+def run_benchmark(
+    graph: SurveyGraph, methods: protocol.Methods, submaps: Iterable[submap.Submap], settings: protocol.Settings
+) -> Results:
+    """Return the benchmark's tables, and the errors of its maps."""
     clouds = protocol.node_clouds(graph, {s.number: s.points for s in submaps})
-    measure = MapToMap(clouds, chosen.map_cell_m, chosen.map_thinning)
-    map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, chosen.seed)}
-    rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, chosen)
-    cells = consistency_map.of_trajectories(trajectories, measure.cells)
-    return Found(
-        rows, trajectories, cells, map_to_map.thinning_table(graph.survey, clouds, graph.gt, chosen.map_cell_m)
+    measure = MapToMap(clouds, settings.map_cell_m, settings.map_thinning)
+    map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, settings.seed)}
+    rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, settings)
+    cells = consistency_map.cells_by_trajectory(trajectories, measure.cells)
+    return Results(
+        rows, trajectories, cells, map_to_map.thinning_table(graph.survey, clouds, graph.gt, settings.map_cell_m)
     )
 
 
-def no_track() -> Found:
-    """Return what is written of a graph without a track: tables without rows, and cells without errors."""
+def without_track() -> Results:
+    """Return the results for a graph without a track: tables without rows, and a map without cells."""
     schemas = (slam_tables.ROWS, slam_tables.TRAJECTORIES, consistency_tables.THINNING)
     rows, trajectories, thinned = (schema.empty_table().to_pandas() for schema in schemas)
-    # by a name, because a raster has one band at least
-    return Found(rows, trajectories, {"no track": Cells(*np.empty((3, 0), np.int64))}, thinned)
+    # a band in name only, because a raster has at least one
+    return Results(rows, trajectories, {"no track": Cells(*np.empty((3, 0), np.int64))}, thinned)
 
 
 if __name__ == "__main__":

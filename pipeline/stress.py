@@ -1,4 +1,4 @@
-"""Optimise a survey's graph with wrong loop closures among the true, by robust estimators."""
+"""Optimise a survey's graph with false loop closures among the true ones, by robust estimators."""
 
 import argparse
 from collections.abc import Sequence
@@ -16,34 +16,39 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read the graph, the submaps and the covariances; write errors by kernel, share and method, and the gate's."""
+    """Read the graph, the submaps and the covariances; write errors by kernel, and the loop gate's counts."""
     name = arguments.survey
-    chosen = parameters.read(arguments.params, "stress", stress.Settings)
-    slam = parameters.read(arguments.params, "slam", protocol.Settings)
+    settings = parameters.read(arguments.params, "stress", stress.Settings)
+    slam_settings = parameters.read(arguments.params, "slam", protocol.Settings)
     file = graph_file.read(arguments.graph, name)
     artifacts.require_survey(name, arguments.submaps)
     spacing = submap.read_sampling(arguments.submaps).spacing_m
     cell, coverage = file.number("graph.cell_factor") * spacing, file.number("graph.coverage")
     covariances = table.read((arguments.estimated, arguments.predicted), name)
-    methods = stress.select_methods(protocol.by_method(covariances, slam.floor_m2), chosen, name)
+    methods = stress.select_methods(protocol.by_method(covariances, slam_settings.floor_m2), settings, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = protocol.node_clouds(file.graph, {s.number: s.points for s in submaps})
     rows, gate = (schema.empty_table().to_pandas() for schema in (tables.ROWS, tables.GATE))
     if file.graph.track:  # without one there is nothing to optimise
-        case = stress.Experiment(file.graph, methods, apart(file.graph, clouds, cell), slam.yaw_sigma_rad, chosen)
-        rows = stress.benchmark(case)
-        corrupted = [stress.corrupted_poses(case, i) for i in range(chosen.repetitions)]
+        pairs = pairs_apart(file.graph, clouds, cell)
+        experiment = stress.Experiment(file.graph, methods, pairs, slam_settings.yaw_sigma_rad, settings)
+        rows = stress.benchmark(experiment)
+        corrupted = [stress.corrupted_poses(experiment, i) for i in range(settings.repetitions)]
         gate = loop_gate.table(file.graph, clouds, corrupted, cell, coverage)
-    of_slam = {"yaw_sigma_rad": slam.yaw_sigma_rad, "floor_m2": slam.floor_m2}
-    metadata = {"survey": name, "stress": parameters.as_metadata(chosen), "slam": of_slam, "graph": file.made_with}
+    metadata = {
+        "survey": name,
+        "stress": parameters.as_metadata(settings),
+        "slam": {"yaw_sigma_rad": slam_settings.yaw_sigma_rad, "floor_m2": slam_settings.floor_m2},
+        "graph": file.metadata,
+    }
     artifacts.write_table(arguments.rows, rows, tables.ROWS, metadata)
     artifacts.write_table(arguments.gate, gate, tables.GATE, metadata)
 
 
-def apart(graph: SurveyGraph, clouds: Sequence[np.ndarray], cell: float) -> np.ndarray:
-    """Return the pairs (p, 2) of nodes that do not overlap where they truly lie (where GT has them, if not known)."""
-    known = bool(np.isfinite(graph.truth).all())
-    return false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if known else graph.gt, cell))
+def pairs_apart(graph: SurveyGraph, clouds: Sequence[np.ndarray], cell: float) -> np.ndarray:
+    """Return the pairs (p, 2) of nodes that do not overlap at the true poses (at GT where the truth is not known)."""
+    has_truth = bool(np.isfinite(graph.truth).all())
+    return false_closures.pairs_apart(loop_gate.coverages(clouds, graph.truth if has_truth else graph.gt, cell))
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def test_files_that_do_not_belong_together(
 def test_a_graph_whose_registrations_find_fewer_numbers_than_are_asked_for(toy: Path, parameters: Path, tmp_path: Path):
     parameters.write_text(parameters.read_text().replace("  dof: xy\n", "  dof: xyyaw\n"))
     said = stage("calibrate", "toy", *arguments("calibrate", toy, tmp_path), "--params", parameters)
-    assert "toy.npz: its registrations find 2 numbers" in said
+    assert "toy.npz: its registrations have 2 dimensions" in said
     assert said.endswith("run dvc repro graph@toy")
 
 

@@ -35,7 +35,7 @@ def measure(
     made: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
 ) -> Measured:
     """Return the tables of a toy survey."""
-    how = closure_errors.How(SPACING, SETTINGS, LABEL, registration)
+    how = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration)
     return closure_errors.measure(made[1], made[0], dataclasses.replace(CHOSEN, runs=runs), how)
 
 
@@ -156,11 +156,11 @@ def test_points_off_the_target_are_left_out_at_each_start_as_the_graph_leaves_th
     )
     cloud = pose.transform(made.truth[7], submaps[7].points)
     starts = [SE2(translation, 0.0) for translation in np.random.default_rng(1).normal(0, 1, (5, 2))]
-    for start, found in zip(starts, ground.lay_each(cloud, starts), strict=True):
-        expected = ground.lay(cloud, start)
-        assert found is not None
+    for start, outcome in zip(starts, ground.register_many(cloud, starts), strict=True):
+        expected = ground.register(cloud, start)
+        assert outcome is not None
         assert expected is not None
-        assert found[0].to_vector() == pytest.approx(expected[0].to_vector(), abs=1e-6)
+        assert outcome[0].to_vector() == pytest.approx(expected[0].to_vector(), abs=1e-6)
 
 
 def test_slopes_in_one_block_are_as_patchy_as_can_be():

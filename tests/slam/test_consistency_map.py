@@ -104,7 +104,7 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
     rows = pd.DataFrame({"survey": "mine", "which": "gt", "submap": range(3), **columns, "yaw_rad": yaw})
     shuffled = rows.iloc[[2, 0, 1]][slam_tables.TRAJECTORIES.names]
     measure = map_to_map.MapToMap(clouds, 15.0, 2)
-    found = consistency_map.of_trajectories(shuffled, measure.cells)
+    found = consistency_map.cells_by_trajectory(shuffled, measure.cells)
     expected = measure.cells(np.array([pose.matrix(p, a) for p, a in zip(xyz, yaw, strict=True)]))
     np.testing.assert_array_equal(found["gt"].error_m, expected.error_m)
 

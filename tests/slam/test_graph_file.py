@@ -12,7 +12,7 @@ from pointnetkl.workflow import artifacts
 from toy_survey import graph
 
 ARRAYS = survey_graph.to_arrays(graph()[1])
-MADE_WITH = {"spacing_m": 0.8, "graph": {"draws": 2, "cell_factor": 5.0}}
+METADATA = {"spacing_m": 0.8, "graph": {"draws": 2, "cell_factor": 5.0}}
 
 
 @pytest.fixture
@@ -20,10 +20,10 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "toy.npz"
 
 
-def write(path: Path, made_with: dict[str, Any] = MADE_WITH, **spoilt: np.ndarray | None) -> Path:
+def write(path: Path, metadata: dict[str, Any] = METADATA, **spoilt: np.ndarray | None) -> Path:
     """Write the toy graph with some arrays replaced, or without them."""
     arrays = {name: array for name, array in (ARRAYS | spoilt).items() if array is not None}
-    artifacts.write_arrays(path, arrays, made_with)
+    artifacts.write_arrays(path, arrays, metadata)
     return path
 
 
@@ -34,7 +34,7 @@ def with_value(name: str, value: float, at: tuple[int, ...] = (0,)) -> dict[str,
     return {name: array}
 
 
-def test_a_graph_comes_back_from_its_file_with_what_it_was_made_with(path: Path):
+def test_a_graph_comes_back_from_its_file_with_its_metadata(path: Path):
     found = graph_file.read(write(path), "toy", 2)
     again = survey_graph.to_arrays(found.graph)
     assert all(np.array_equal(again[name], array, equal_nan=array.dtype.kind == "f") for name, array in ARRAYS.items())
@@ -55,7 +55,7 @@ def test_the_truth_may_be_unknown(path: Path):
         ({"gt": np.array("elsewhere")}, "gt has the shape"),
         ({"gt": None}, "it lacks gt"),
         ({"draws": np.array(0)}, "draws is 0|_draw is out of its range"),
-        ({"draws": np.array(99)}, "draws is 99, and it was not made with so many"),
+        ({"draws": np.array(99)}, "draws is 99, which does not agree with its metadata"),
         ({"draws": np.array("two")}, "draws has the shape"),
         (with_value("closure_sigmas", -1.0), "roll_rad is -1"),
         ({"dead_reckoning_sigmas": np.ones(5)}, "dead_reckoning_sigmas has the shape"),
@@ -79,15 +79,13 @@ def test_another_graph_than_was_meant_is_refused(path: Path):
     write(path)
     with pytest.raises(SurveyGraphError, match="is of survey toy, not of baltic"):
         graph_file.read(path, "baltic")
-    with pytest.raises(SurveyGraphError, match=r"find 2 numbers, and by registration\.dof .* find 3"):
+    with pytest.raises(SurveyGraphError, match=r"have 2 dimensions, and by registration\.dof .* have 3"):
         graph_file.read(path, "toy", 3)
 
 
-@pytest.mark.parametrize(
-    "made_with", [{}, {"graph": 5}, {"graph": {"cell_factor": "5"}}, {"graph": {"cell_factor": 0}}]
-)
-def test_what_the_graph_was_made_with_is_a_number_or_a_sentence(path: Path, made_with: dict[str, Any]):
+@pytest.mark.parametrize("metadata", [{}, {"graph": 5}, {"graph": {"cell_factor": "5"}}, {"graph": {"cell_factor": 0}}])
+def test_a_number_of_the_metadata_is_a_number_or_a_sentence(path: Path, metadata: dict[str, Any]):
     with pytest.raises(
         SurveyGraphError, match=r"toy\.npz: does not say its graph\.cell_factor; run dvc repro graph@toy"
     ):
-        graph_file.read(write(path, made_with)).number("graph.cell_factor")
+        graph_file.read(write(path, metadata)).number("graph.cell_factor")

@@ -150,7 +150,7 @@ def test_a_graph_with_yaw_comes_back_from_its_file_and_refuses_covariances_witho
     assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
     assert arrays["registration_error_truth_m"].shape == (sum(len(draw.node) for draw in made.draws), 3)
     assert survey_graph.summary(made)["gt_truth_rmse_xyz_m"] < survey_graph.summary(made)["navigation_truth_rmse_xyz_m"]
-    with pytest.raises(survey_graph.SurveyGraphError, match="registrations find 3 numbers"):
+    with pytest.raises(survey_graph.SurveyGraphError, match="registrations have 3 dimensions"):
         survey_graph.edge_covariances(made.number, {int(n): np.eye(2) for n in made.number}, made.closures, "toy")
 
 
@@ -194,7 +194,7 @@ def test_a_graph_without_truth_has_errors_that_are_not_numbers():
 
 
 def test_truth_is_interpolated_through_the_turn_of_the_compass():
-    T = graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY)[0]
+    T = graph_construction.true_poses(SUBMAPS, HEADING, TRAJECTORY)[0]
     assert T[:3, 3] == pytest.approx([2.0, 1.0, -5.0])
     assert abs(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(np.pi)
 
@@ -202,15 +202,15 @@ def test_truth_is_interpolated_through_the_turn_of_the_compass():
 def test_a_submap_is_turned_by_the_error_of_the_heading_and_not_onto_the_heading():
     crabbing = SUBMAPS.assign(yaw_rad=3.0)  # its track; the vehicle points elsewhere
     wrong = HEADING.assign(yaw_rad=HEADING["yaw_rad"] + 0.05)
-    T = graph_construction.truth_at(crabbing, wrong, TRAJECTORY)[0]
+    T = graph_construction.true_poses(crabbing, wrong, TRAJECTORY)[0]
     assert np.arctan2(T[1, 0], T[0, 0]) == pytest.approx(2.95)
 
 
 def test_a_truth_that_does_not_reach_a_submap_is_refused():
     late = SUBMAPS.assign(time_s=3.0)
     with pytest.raises(graph_construction.GraphConstructionError, match="submap is at 3"):
-        graph_construction.truth_at(late, HEADING, TRAJECTORY)
-    assert np.isnan(graph_construction.truth_at(SUBMAPS, HEADING, TRAJECTORY[:0])).all()
+        graph_construction.true_poses(late, HEADING, TRAJECTORY)
+    assert np.isnan(graph_construction.true_poses(SUBMAPS, HEADING, TRAJECTORY[:0])).all()
 
 
 def test_draws_start_elsewhere_and_the_first_does_not_depend_on_how_many_there_are():

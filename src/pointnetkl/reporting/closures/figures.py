@@ -8,12 +8,13 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.closures import numbers as closures
 from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.drawing import families, plots
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.slam.closures.tables import BUILT, PAIR, PLACED, SPLIT
+from pointnetkl.slam.closures.tables import BUILT, PLACED
 
 _NEES = (0.1, 5000.0)  # shown; what lies beyond stands at the border
 _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plots.SKY)

@@ -9,9 +9,10 @@ import pandas as pd
 from scipy import linalg, stats
 
 from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
-from pointnetkl.slam.closures.tables import BUILT, CLOSURES, DESCRIPTION, PAIR, PLACED, SPLIT, TO_GT, YAW
+from pointnetkl.slam.closures.tables import BUILT, CLOSURES, DESCRIPTION, PLACED, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
 _OF_PLACED = ("nees", "nees_median", "coverage_95", "inflation")

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
+from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.reporting.closures.numbers import FIRM
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.text_table import Block, Numbers, cell
-from pointnetkl.slam.closures.tables import PAIR, SPLIT
 
 _GOAL = 0.95
 _NAMED = {GOLD: "labels", SPLIT: "labels of copy split", PAIR: "Q_ij"}

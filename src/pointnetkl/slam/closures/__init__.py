@@ -1,1 +1,1 @@
-"""Loop closures: found, registered, and their errors measured."""
+"""Loop closures: search, registration, and measurement of their errors."""

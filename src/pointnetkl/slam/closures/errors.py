@@ -1,9 +1,9 @@
-"""The errors of a graph's loop closures, and of the same registrations with every submap where it truly lies.
+"""The errors of a graph's loop closures, and of the same registrations with all submaps at their true poses.
 
-A loop closure errs because its registration does, and because the ground that it is registered to was put together
-from wrong poses. The second kind of registration has the first error only: Q_ij of submap i on its targets j is the
-second moment of that, as a label is of submap i and its copy. No noise is added to it: two passes over the same ground
-have their own.
+A loop closure has two errors: that of its registration, and that of the ground it is registered to, which was put
+together from wrong poses. With all submaps at their true poses only the first remains. Q_ij of submap i on its targets
+j is the second moment of that error, as a label is of a submap and its copy. No noise is added for it, because two
+passes over the same ground have noise of their own.
 """
 
 import dataclasses
@@ -16,10 +16,10 @@ import pandas as pd
 
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.registration.streams import Stream
 from pointnetkl.slam.closures import loop_closure, tables
 from pointnetkl.slam.closures import terrain as closure_terrain
-from pointnetkl.slam.closures.tables import PAIR, SPLIT
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
@@ -43,27 +43,33 @@ class Settings:
     """
 
     seed: int
-    runs: int  # registrations behind each covariance
+    runs: int  # registrations for each covariance
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse numbers out of their range."""
         require_seed(self.seed)
         if self.runs < 4:
             raise ValueError(f"runs is {self.runs}, must be 4 or above: fewer make a singular covariance")
 
 
 @dataclass(frozen=True)
-class How:
-    """What the registrations of a graph and of its labels were made with."""
+class Setup:
+    """The settings of a survey's graph, its labels and its registrations."""
 
     spacing_m: float  # of neighbouring points
     graph: loop_closure.Settings
     label: monte_carlo.Settings
     registration: gicp.Settings
 
+    @property
+    def reach_m(self) -> float | None:
+        """Return the reach of common ground around a target's points, metres; None without a limit."""
+        factor = self.graph.overlap_factor
+        return None if factor is None else factor * self.spacing_m
+
 
 @dataclass(frozen=True)
-class Case:
+class ClosingNode:
     """A node that closes loops, with its targets in the first draw that registers it."""
 
     node: int
@@ -73,18 +79,18 @@ class Case:
 @dataclass(frozen=True)
 class _Measured:
     node: int
-    described: dict[str, float]
+    description: dict[str, float]  # columns tables.DESCRIPTION
     placed: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
     covariances: dict[str, np.ndarray]  # SPLIT and PAIR, (M, M)
 
 
 def measure(
-    graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, how: How
+    graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, setup: Setup
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return a row for each registration of each draw, and the covariances SPLIT and PAIR of each submap registered.
 
     The rows have the columns of tables.schema; `submaps` are the graph's nodes. Where too few registrations of a submap
-    at its true place had a match, PAIR is its SPLIT: another draw may have closed a loop with it all the same.
+    at its true pose had a match, its PAIR is its SPLIT: a draw may have closed a loop with it all the same.
 
     Raises:
         ClosureErrorsError: the submaps are not those of the graph.
@@ -96,56 +102,63 @@ def measure(
             f"{graph.survey}: the graph has {len(graph.number)} submaps, not the {len(submaps)} given;"
             f" run dvc repro graph@{graph.survey}"
         )
-    one = functools.partial(_measure, graph=graph, submaps=submaps, settings=settings, how=how)
-    found = compute.in_threads(one, cases(graph), f"calibrate {graph.survey}")
-    by_node = {each.node: each for each in found}
-    names = tables.schema(how.registration.dimensions).names
+    measure_node = functools.partial(_measure, graph=graph, submaps=submaps, settings=settings, setup=setup)
+    measured = compute.in_threads(measure_node, closing_nodes(graph), f"calibrate {graph.survey}")
+    by_node = {node.node: node for node in measured}
     rows = [_rows(graph, draw, by_node) for draw in range(len(graph.draws))]
-    measured = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [how.registration.dimensions])))]
-    for method in (SPLIT, PAIR):
-        have = {int(graph.number[each.node]): each.covariances[method] for each in found}
-        measured += [table.from_matrices(graph.survey, method, have, np.array(list(have.values())))] if have else []
-    return pd.concat(rows, ignore_index=True)[names], pd.concat(measured, ignore_index=True)
+    names = tables.schema(setup.registration.dimensions).names
+    return pd.concat(rows, ignore_index=True)[names], _covariances(graph, measured, setup.registration.dimensions)
 
 
 def true_poses(graph: SurveyGraph) -> np.ndarray:
-    """Return the true poses (n, 4, 4) of a graph's nodes, those of GT where the truth is not known."""
+    """Return the true poses (n, 4, 4) of a graph's nodes, or GT where the truth is not known."""
     return graph.gt if np.isnan(graph.truth).any() else graph.truth
 
 
-def cases(graph: SurveyGraph) -> list[Case]:
-    """Return a case for each node that closes a loop in any draw, in the order of the track."""
-    found: dict[int, Case] = {}
+def closing_nodes(graph: SurveyGraph) -> list[ClosingNode]:
+    """Return each node that closes a loop in any draw, in the order of the track."""
+    nodes: dict[int, ClosingNode] = {}
     for closures in graph.draws:
-        for which, node in enumerate(closures.node.tolist()):
-            targets = closures.edges.target[closures.registration == which]
-            found.setdefault(node, Case(node, targets))
-    return [found[node] for node in sorted(found)]
+        for registration, node in enumerate(closures.node.tolist()):
+            targets = closures.edges.target[closures.registration == registration]
+            nodes.setdefault(node, ClosingNode(node, targets))
+    return [nodes[node] for node in sorted(nodes)]
 
 
-def _measure(case: Case, graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, how: How) -> _Measured:
-    one, T = submaps[case.node], true_poses(graph)
-    around = [pose.transform(T[k], submaps[k].points) for k in case.targets]
-    m, label = how.registration.dimensions, dataclasses.replace(how.label, seed=settings.seed, copy="split")
-    rng, sigmas = monte_carlo.generator(label, one, Stream.CLOSURE), monte_carlo.prior_sigmas(label, m)
-    drawn = rng.normal(0.0, sigmas, (settings.runs, m))
-    given = [loop_closure.starts(graph.survey, [one], how.graph, m, draw)[0] for draw in range(len(graph.draws))]
-    centroid = one.points[:, :2].mean(axis=0) if m == 3 else None
-    errors = _errors(one, T[case.node], around, np.concatenate([drawn, given]), centroid, how)
-    cell = how.graph.cell_factor * how.spacing_m
-    terrain, middle = closure_terrain.describe(one, T[case.node], around, cell, how.registration)
-    split = _split(one, label, settings.runs, how)
+def _measure(
+    closing: ClosingNode, graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, setup: Setup
+) -> _Measured:
+    source, T = submaps[closing.node], true_poses(graph)
+    targets = [pose.transform(T[k], submaps[k].points) for k in closing.targets]
+    m, label = setup.registration.dimensions, dataclasses.replace(setup.label, seed=settings.seed, copy="split")
+    rng, sigmas = monte_carlo.generator(label, source, Stream.CLOSURE), monte_carlo.prior_sigmas(label, m)
+    random = rng.normal(0.0, sigmas, (settings.runs, m))
+    of_draws = [loop_closure.starts(graph.survey, [source], setup.graph, m, k)[0] for k in range(len(graph.draws))]
+    centroid = source.points[:, :2].mean(axis=0) if m == 3 else None
+    errors = _errors(source, T[closing.node], targets, np.concatenate([random, of_draws]), centroid, setup)
+    cell = setup.graph.cell_factor * setup.spacing_m
+    terrain, centre = closure_terrain.describe(source, T[closing.node], targets, cell, setup.registration)
+    split = _split(source, label, settings.runs, setup)
     return _Measured(
-        case.node,
-        terrain | _misplaced(graph, case, middle, centroid),
+        closing.node,
+        terrain | _misplaced(graph, closing, centre, centroid),
         errors[settings.runs :],
         {SPLIT: split, PAIR: _moment(errors[: settings.runs], split)},
     )
 
 
-def _split(one: Submap, label: monte_carlo.Settings, runs: int, how: How) -> np.ndarray:
-    rng = monte_carlo.generator(label, one, Stream.LABEL)
-    return monte_carlo.covariance(monte_carlo.errors(one, runs, rng, label, how.registration).errors)
+def _covariances(graph: SurveyGraph, measured: Sequence[_Measured], dimensions: int) -> pd.DataFrame:
+    """Return the covariance table of SPLIT and PAIR."""
+    frames = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [dimensions])))]  # columns, if no node
+    for method in (SPLIT, PAIR):
+        q = {int(graph.number[node.node]): node.covariances[method] for node in measured}
+        frames += [table.from_matrices(graph.survey, method, q, np.array(list(q.values())))] if q else []
+    return pd.concat(frames, ignore_index=True)
+
+
+def _split(source: Submap, label: monte_carlo.Settings, runs: int, setup: Setup) -> np.ndarray:
+    rng = monte_carlo.generator(label, source, Stream.LABEL)
+    return monte_carlo.covariance(monte_carlo.errors(source, runs, rng, label, setup.registration).errors)
 
 
 def _moment(errors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
@@ -154,64 +167,64 @@ def _moment(errors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 
 def _errors(
-    one: Submap,
+    source: Submap,
     T: np.ndarray,
-    around: Sequence[np.ndarray],
+    targets: Sequence[np.ndarray],
     starts: np.ndarray,
     centroid: np.ndarray | None,
-    how: How,
+    setup: Setup,
 ) -> np.ndarray:
-    """Return the errors (b, M) of a submap's registrations onto points around it, (b, M) off its pose T at first."""
-    cloud = pose.transform(T, one.points)
-    reach = None if how.graph.overlap_factor is None else how.graph.overlap_factor * how.spacing_m
-    ground = loop_closure.Ground(np.concatenate(around), cloud.mean(axis=0), reach, how.registration)
-    left = np.full((len(starts), 4, 4), np.nan)
+    """Return the errors (b, M) of a submap's registrations onto its targets; `starts` (b, M) are relative to pose T."""
+    cloud = pose.transform(T, source.points)
+    ground = loop_closure.Ground(np.concatenate(targets), cloud.mean(axis=0), setup.reach_m, setup.registration)
+    residual = np.full((len(starts), 4, 4), np.nan)
     motions = [SE2.from_vector(start) for start in np.pad(starts, ((0, 0), (0, 3 - starts.shape[1])))]
-    for i, found in enumerate(ground.lay_each(cloud, motions)):
-        if found is not None:
-            left[i] = np.linalg.inv(found[0].act_on_pose(T)) @ T
-    return survey_graph.what_is_left(left, None if centroid is None else np.tile(centroid, (len(left), 1)))
+    for i, outcome in enumerate(ground.register_many(cloud, motions)):
+        if outcome is not None:
+            residual[i] = np.linalg.inv(outcome[0].act_on_pose(T)) @ T
+    return survey_graph.residual_errors(residual, None if centroid is None else np.tile(centroid, (len(residual), 1)))
 
 
-def _misplaced(graph: SurveyGraph, case: Case, middle: np.ndarray, centroid: np.ndarray | None) -> dict[str, float]:
-    """Return given_m and heading_m of a case, NaN where the truth is not known (and heading_m where yaw is found).
+def _misplaced(
+    graph: SurveyGraph, closing: ClosingNode, centre: np.ndarray, centroid: np.ndarray | None
+) -> dict[str, float]:
+    """Return given_m and heading_m of a node, NaN where the truth is not known (and heading_m with yaw).
 
-    For heading_m a registration without yaw brings the `middle` (3,) of the common ground together, as the true poses
-    have it, while both submaps are turned as GT has them.
+    For heading_m a registration without yaw brings the `centre` (3,) of the common ground together, as the true poses
+    have it, while both submaps have GT's headings.
     """
-    i, k = case.node, case.targets
+    i, k = closing.node, closing.targets
     gt, truth = np.linalg.inv(graph.gt[k]) @ graph.gt[i], np.linalg.inv(graph.truth[k]) @ graph.truth[i]
-    seen, turned = (each[:, :3, :3] @ middle + each[:, :3, 3] for each in (truth, gt))
+    true_centre, gt_centre = (T[:, :3, :3] @ centre + T[:, :3, 3] for T in (truth, gt))
     together = gt.copy()
-    together[:, :2, 3] += seen[:, :2] - turned[:, :2]
+    together[:, :2, 3] += true_centre[:, :2] - gt_centre[:, :2]
     centroids = None if centroid is None else np.tile(centroid, (len(k), 1))
     given, heading = (
-        float(np.hypot(*survey_graph.what_is_left(np.linalg.inv(each) @ truth, centroids).mean(axis=0)[:2]))
-        for each in (gt, together)
+        float(np.hypot(*survey_graph.residual_errors(np.linalg.inv(T) @ truth, centroids).mean(axis=0)[:2]))
+        for T in (gt, together)
     )
     return {"given_m": given, "heading_m": heading if centroid is None else np.nan}
 
 
 def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.DataFrame:
     closures = graph.draws[draw]
-    cases = [by_node[node] for node in closures.node.tolist()]
-    placed = np.array([case.placed[draw] for case in cases]).reshape(len(cases), closures.start.shape[1])
+    nodes = [by_node[node] for node in closures.node.tolist()]
+    placed = np.array([node.placed[draw] for node in nodes]).reshape(len(nodes), closures.start.shape[1])
     against_truth = survey_graph.registration_errors(closures, graph.truth)
     errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), placed)
-    units = ("x_m", "y_m", "w_rad")
-    described = {name: [case.described[name] for case in cases] for name in tables.DESCRIPTION}
+    axes = ("x_m", "y_m", "w_rad")
     return pd.DataFrame(
         {
             "survey": graph.survey,
-            "draw": np.full(len(cases), draw, np.int32),
+            "draw": np.full(len(nodes), draw, np.int32),
             "submap": graph.number[closures.node].astype(np.int32),
-            "targets": np.bincount(closures.registration, minlength=len(cases)).astype(np.int32),
+            "targets": np.bincount(closures.registration, minlength=len(nodes)).astype(np.int32),
             "converged": closures.converged,
-            **described,
+            **{name: [node.description[name] for node in nodes] for name in tables.DESCRIPTION},
             **{
-                f"{k}_{u}": e[:, a]
-                for k, e in zip(tables.KINDS, errors, strict=True)
-                for a, u in enumerate(units[: e.shape[1]])
+                f"{kind}_{axis}": e[:, column]
+                for kind, e in zip(tables.KINDS, errors, strict=True)
+                for column, axis in enumerate(axes[: e.shape[1]])
             },
         }
     )

@@ -1,4 +1,4 @@
-"""Making a survey's pose graph: GT, the paper's stand-in for the truth, and on it Algorithm 1, some times over."""
+"""Builds a survey's pose graph: GT, which stands for the truth in the paper, then draws of Algorithm 1 on it."""
 
 import dataclasses
 import functools
@@ -19,14 +19,14 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class GraphConstructionError(PointNetKLError):
-    """A survey's truth does not belong to it."""
+    """A survey's truth does not cover it."""
 
 
-def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFrame) -> np.ndarray:
+def true_poses(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFrame) -> np.ndarray:
     """Return the true poses (n, 4, 4) of submaps, by linear interpolation in time; NaN if the trajectory is empty.
 
-    A submap's yaw is that of its track, by navigation, and not the vehicle's heading: it is wrong by as much as the
-    heading in `pings` (columns time_s, yaw_rad) is. `submaps` has time_s and yaw_rad, the trajectory survey.TRAJECTORY.
+    A submap's yaw is that of its track by navigation, not the vehicle's heading. Its error is that of the heading in
+    `pings` (columns time_s, yaw_rad). `submaps` has time_s and yaw_rad, the trajectory is of survey.TRAJECTORY.
 
     Raises:
         GraphConstructionError: a time lies outside the trajectory.
@@ -34,15 +34,15 @@ def truth_at(submaps: pd.DataFrame, pings: pd.DataFrame, trajectory: pd.DataFram
     times = submaps["time_s"].to_numpy()
     if trajectory.empty:
         return np.full((len(times), 4, 4), np.nan)
-    known = trajectory["time_s"].to_numpy()
-    if len(outside := times[(times < known[0]) | (times > known[-1])]):
+    true_times = trajectory["time_s"].to_numpy()
+    if len(outside := times[(times < true_times[0]) | (times > true_times[-1])]):
         raise GraphConstructionError(
-            f"the truth covers {known[0]:.3f} to {known[-1]:.3f} s and a submap is at {outside[0]:.3f} s;"
+            f"the truth covers {true_times[0]:.3f} to {true_times[-1]:.3f} s and a submap is at {outside[0]:.3f} s;"
             " give a truth of the whole survey, or data/none"
         )
-    columns = {name: np.interp(times, known, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
-    wrong = _heading(times, pings) - _heading(times, trajectory)
-    return submap.poses_from_table(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - wrong}))
+    columns = {name: np.interp(times, true_times, trajectory[name]) for name in ("x_m", "y_m", "z_m")}
+    error = _heading(times, pings) - _heading(times, trajectory)
+    return submap.poses_from_table(pd.DataFrame({**columns, "yaw_rad": submaps["yaw_rad"].to_numpy() - error}))
 
 
 def _heading(times: np.ndarray, trajectory: pd.DataFrame) -> np.ndarray:
@@ -72,15 +72,15 @@ def build(
     settings: loop_closure.Settings,
     registration: gicp.Settings,
 ) -> SurveyGraph:
-    """Return a survey's graph: GT from navigation (n, 4, 4), then on the GT poses each draw of Algorithm 1.
+    """Return a survey's graph: GT from navigation (n, 4, 4), then each draw of Algorithm 1 on the GT poses.
 
     `labels` are the Monte Carlo covariances (M, M) by submap; `spacing` is that of neighbouring points, in
     metres.
     """
     number = np.array([s.number for s in submaps], np.int64)
-    found = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
-    full = survey_graph.full_covariances(number, labels, found, settings.loop_closure, f"{survey}, labels")
-    gt = optimise_navigation(navigation, found, full, settings)
+    closures = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
+    full = survey_graph.full_covariances(number, labels, closures, settings.loop_closure, f"{survey}, labels")
+    gt = optimise_navigation(navigation, closures, full, settings)
     draw = functools.partial(_draw, survey, submaps, gt, spacing, settings, registration)
     draws = compute.in_threads(draw, range(settings.draws), f"loop closures, {survey}", unit="draw")
     noise = (settings.dead_reckoning, settings.loop_closure)
@@ -95,10 +95,10 @@ def without_track(
     settings: loop_closure.Settings,
     registration: gicp.Settings,
 ) -> SurveyGraph:
-    """Return the graph of submaps at poses (n, 4, 4) that no vehicle went to one after the other: it has no edges."""
+    """Return the graph, without edges, of submaps at poses (n, 4, 4) that do not follow each other on a track."""
     number, unknown = np.array([s.number for s in submaps], np.int64), np.full_like(poses, np.nan)
     none = loop_closure.close([], poses[:0], None, spacing, settings, registration)
-    if none.centroid is not None:  # where yaw is found, every node has one
+    if none.centroid is not None:  # with yaw every node has one
         none = dataclasses.replace(none, centroid=np.array([s.points[:, :2].mean(axis=0) for s in submaps]))
     noise = (settings.dead_reckoning, settings.loop_closure)
     return SurveyGraph(survey, number, poses, poses, unknown, (none,) * settings.draws, *noise, track=False)

@@ -37,12 +37,12 @@ class Settings:
     prior_yaw_sigma_rad: float = 0.03
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse numbers out of their range."""
         require_seed(self.seed)
         require_positive(self, "draws", "coverage")
         if self.coverage > 1:
             raise ValueError(f"coverage is {self.coverage}, a share: must be at most 1")
-        require_within(self, 0.1, 1e3, "cell_factor")  # finer cells fill the memory, coarser ones tell nothing apart
+        require_within(self, 0.1, 1e3, "cell_factor")  # finer cells fill the memory, coarser ones all overlap
         require_within(self, 0.0, 1e6, "prior_variance_m2")
         require_within(self, 0.0, np.pi, "prior_yaw_sigma_rad")
         if self.overlap_factor is not None:
@@ -52,9 +52,9 @@ class Settings:
 def starts(
     survey: str, submaps: Sequence[Submap], settings: Settings, dimensions: int = 2, draw: int = 0
 ) -> np.ndarray:
-    """Return each submap's perturbation (n, M) before it is registered: from N(0, a I) in metres, and of yaw.
+    """Return each submap's perturbation (n, M) before registration: x and y of N(0, a I) in metres, and yaw.
 
-    Every `draw` has its own.
+    Each `draw` has its own.
     """
     sigma = np.sqrt(settings.prior_variance_m2)
     sigmas = np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
@@ -76,14 +76,14 @@ def close(
     Args:
         submaps: the n nodes in the order of the track.
         poses: T_map_submap (n, 4, 4).
-        perturbations: (n, M) metres, and radians about the submap's mean; None starts each registration where dead
-            reckoning from the submap before, as corrected, would have it: what a vehicle does when its poses drift.
+        perturbations: (n, M) metres, and radians about the submap's mean. None starts each registration at dead
+            reckoning from the corrected pose of the submap before, as a vehicle does whose poses drift.
         spacing: of neighbouring points in metres, the unit of `cell_factor` and `overlap_factor`.
-        settings: coverage asked for, and those factors.
-        registration: of GICP.
+        settings: the required coverage, and those factors.
+        registration: settings of GICP.
 
     Raises:
-        LoopClosureError: there is not one pose a submap.
+        LoopClosureError: the numbers of submaps and poses differ.
     """
     if len(poses) != len(submaps):
         raise LoopClosureError(
@@ -100,52 +100,52 @@ def close(
 
 
 class Ground:
-    """Mapped ground that a cloud is registered to: points (n, 3) in the map frame."""
+    """Mapped ground, the target of registrations: points (n, 3) in the map frame."""
 
     def __init__(
         self, points: np.ndarray, origin: np.ndarray, reach: float | None, registration: gicp.Settings
     ) -> None:
         """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count."""
-        self._origin, self._reach, self._registration = origin, reach, registration  # small numbers register better
+        self._origin, self._reach, self._registration = origin, reach, registration  # small coordinates round less
         local = points - origin
         self._tree = None if reach is None else cKDTree(local[:, :2])
         self._target = gicp.prepare(local, registration)
 
-    def lay(self, cloud: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
-        """Return the motion that lays a cloud on the ground, and whether it converged; None without a match.
+    def register(self, cloud: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
+        """Return the motion that aligns a cloud with the ground, and whether it converged; None without a match.
 
         The cloud (n, 3) is in the map frame, and `start` a motion about the origin.
         """
-        moving = cloud - self._origin
-        moving = moving[self._over(moving, start)]
-        if len(moving) < self._registration.neighbours:
+        points = cloud - self._origin
+        points = points[self._over_target(points, start)]
+        if len(points) < self._registration.neighbours:
             return None
-        return self._lay(gicp.prepare(moving, self._registration), start)
+        return self._register(gicp.prepare(points, self._registration), start)
 
-    def lay_each(self, cloud: np.ndarray, starts: Iterable[SE2]) -> list[tuple[SE2, bool] | None]:
-        """Return what `lay` does of many starts, up to rounding, in less time."""
+    def register_many(self, cloud: np.ndarray, starts: Iterable[SE2]) -> list[tuple[SE2, bool] | None]:
+        """Return the result of `register` for each start, up to rounding, in less time."""
         whole = gicp.prepare(cloud - self._origin, self._registration)
-        return [self._lay_part(whole, start) for start in starts]
+        return [self._register_part(whole, start) for start in starts]
 
-    def _lay_part(self, whole: gicp.Cloud, start: SE2) -> tuple[SE2, bool] | None:
-        near = self._over(whole.points, start)
+    def _register_part(self, whole: gicp.Cloud, start: SE2) -> tuple[SE2, bool] | None:
+        near = self._over_target(whole.points, start)
         if near.sum() < self._registration.neighbours:
             return None
-        return self._lay(gicp.part(whole, near, self._registration), start)
+        return self._register(gicp.part(whole, near, self._registration), start)
 
-    def _lay(self, source: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
+    def _register(self, source: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
         centre = self._target.centre
         outcome = gicp.register(source, self._target, self._registration, start.about(-centre[:2]))
         if outcome.matched_share == 0:
             return None
         return outcome.T_target_source.about((self._origin + centre)[:2]), outcome.converged
 
-    def _over(self, moving: np.ndarray, start: SE2) -> np.ndarray:
-        # Points beyond the target's edge would match its border: on flat ground nothing holds against them, and they
-        # drag a half-covered submap right across the target.
+    def _over_target(self, points: np.ndarray, start: SE2) -> np.ndarray:
+        # Points beyond the target's edge would match its border. On flat ground nothing counters them, and they drag a
+        # half-covered submap right across the target.
         if self._tree is None or self._reach is None:
-            return np.ones(len(moving), bool)
-        distance, _ = self._tree.query(start.act(moving[:, :2]), distance_upper_bound=self._reach)
+            return np.ones(len(points), bool)
+        distance, _ = self._tree.query(start.act(points[:, :2]), distance_upper_bound=self._reach)
         return np.isfinite(distance)
 
 
@@ -184,9 +184,9 @@ class _FrontEnd:
             self._rejected.append(i)
 
     def _register(self, cloud: np.ndarray, targets: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
-        """Return the motion that lays the cloud on its targets, and whether it converged; None without a match."""
+        """Return the motion that aligns a cloud with its targets, and whether it converged; None without a match."""
         fused = np.concatenate([self._clouds[k] for k in targets])
-        return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).lay(cloud, start)
+        return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).register(cloud, start)
 
     def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
         self._footprints.add(cloud)
@@ -194,8 +194,8 @@ class _FrontEnd:
         self._T_map.append(T)
 
     def _connect(self, i: int, targets: np.ndarray, shifts: list[np.ndarray], converged: bool) -> None:
-        # x, y and with xyyaw yaw from the registration; the rest is that handed in, because it was not corrected.
-        # `shifts` are what the start and the correction change of the pose's x, y and yaw
+        # The registration corrects x, y and with xyyaw yaw; the rest of the pose is the one handed in. `shifts` are the
+        # changes of x, y and yaw by the start and by the correction.
         for k in targets:
             measured = np.linalg.inv(self._T_map[k]) @ self._T_map[i]
             self._edges.append((int(k), i, len(self._registered), measured))
@@ -203,7 +203,7 @@ class _FrontEnd:
         self._registered.append((i, start, correction, converged))
 
     def closures(self) -> Closures:
-        """Return what was found."""
+        """Return the edges and registrations so far."""
         edges, registered, m = self._edges, self._registered, self._registration.dimensions
         return Closures(
             edges=Edges(

@@ -2,7 +2,6 @@
 
 import pyarrow as pa
 
-SPLIT, PAIR = "split", "pair"  # methods: the label of submap i by copy split, and Q_ij
 BUILT, TO_GT, PLACED = KINDS = ("error", "gt_error", "placed_error")  # errors of a registration: see CLOSURES
 DESCRIPTION = ("overlap", "patchiness", "outside", "given_m", "heading_m")  # columns about a submap, not about a draw
 CLOSURES = pa.schema(

@@ -1,4 +1,4 @@
-"""The ground of a submap that closes a loop: how much of it its targets have, and how its slopes are spread over it."""
+"""The ground of a submap that closes a loop: its overlap with the targets, and the distribution of its slopes."""
 
 from collections.abc import Sequence
 
@@ -13,11 +13,12 @@ _BLOCKS = 4  # of patchiness, along x and along y
 
 
 def patchiness(points: np.ndarray, squared_slopes: np.ndarray) -> float:
-    """Return how unevenly slopes are spread over a submap: points (n, 2 or 3), the squared slope at each (n,).
+    """Return how unevenly slopes are spread over a submap: points (n, 2 or 3), and the squared slope at each (n,).
 
-    The submap's rectangle has 4 by 4 blocks; the coefficient of variation of the blocks' sums of squared slopes, which
-    are the traces of their structure tensors: what each adds to the registration's information. 0: all the same;
-    sqrt(15) = 3.9: all of it in one block. It needs no other submap, so that a user can tell it beforehand.
+    It is the coefficient of variation, over 4 by 4 blocks of the submap's rectangle, of the blocks' sums of squared
+    slopes. Such a sum is the trace of a structure tensor, and measures what the block adds to the information of a
+    registration. 0: all blocks are equal; sqrt(15) = 3.9: one block has it all. No other submap is needed, so that a
+    user can compute it beforehand.
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     column, row = np.minimum(_BLOCKS * (points[:, :2] - low) / (high - low), _BLOCKS - 1).astype(int).T
@@ -26,21 +27,21 @@ def patchiness(points: np.ndarray, squared_slopes: np.ndarray) -> float:
 
 
 def describe(
-    one: Submap, T: np.ndarray, around: Sequence[np.ndarray], cell: float, registration: gicp.Settings
+    source: Submap, T: np.ndarray, targets: Sequence[np.ndarray], cell: float, registration: gicp.Settings
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Return overlap, patchiness and outside of a submap, and the middle (3,) of the common ground, in its frame.
+    """Return overlap, patchiness and outside of a submap, and the centre (3,) of the common ground, in its frame.
 
-    `T` is its pose, `around` its targets' points (n, 3) in the map frame; `cell` metres is a footprint's. outside is
-    the share of the submap's squared slopes on ground that no target has.
+    `T` is its pose T_map_source, `targets` are the targets' points (n, 3) in the map frame, `cell` is the size of a
+    footprint's cell in metres. outside is the share of the submap's squared slopes on ground that no target has.
     """
-    prepared = gicp.prepare(one.points, registration)
-    slopes = (prepared.normals[:, :2].astype(np.float64) ** 2).sum(axis=1)  # squared sines: a wall's stays finite
-    mine = footprint.keys(pose.transform(T, prepared.points), cell)
-    theirs = footprint.cells(np.concatenate(around), cell)
-    covered = np.isin(mine, theirs)
-    found = {
-        "overlap": footprint.coverage(np.unique(mine), theirs),
+    prepared = gicp.prepare(source.points, registration)
+    slopes = (prepared.normals[:, :2].astype(np.float64) ** 2).sum(axis=1)  # squared sines, finite on a wall
+    source_cells = footprint.keys(pose.transform(T, prepared.points), cell)
+    target_cells = footprint.cells(np.concatenate(targets), cell)
+    covered = np.isin(source_cells, target_cells)
+    description = {
+        "overlap": footprint.coverage(np.unique(source_cells), target_cells),
         "patchiness": patchiness(prepared.points, slopes),
         "outside": float(slopes[~covered].sum() / slopes.sum()) if slopes.any() else 0.0,
     }
-    return found, prepared.points[covered if covered.any() else slice(None)].mean(axis=0)
+    return description, prepared.points[covered if covered.any() else slice(None)].mean(axis=0)

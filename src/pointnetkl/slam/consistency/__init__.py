@@ -1,1 +1,1 @@
-"""How far maps agree with themselves."""
+"""Consistency of maps: how far submaps that overlap lie apart."""

@@ -1,7 +1,7 @@
 """The consistency map: the map-to-map error of each cell, as a raster in the survey's own coordinates.
 
-One GeoTIFF a survey, a band a trajectory: all bands lie on one grid, so that a GIS shows one after the other, and
-subtracts one from another, without further ado.
+A survey has one GeoTIFF with a band for each trajectory. All bands lie on one grid, so that a GIS can show them in turn
+and subtract one from another.
 """
 
 import json
@@ -18,8 +18,8 @@ from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
 _LARGEST = 1 << 28  # cells of a raster, a gigabyte
-# "local" of a survey that does not say where it is: a GeoTIFF can, in words
-_NOWHERE = 'LOCAL_CS["local",UNIT["metre",1],AXIS["east",EAST],AXIS["north",NORTH]]'
+# WKT of the CRS "local", for a survey whose place on the earth is not known
+_LOCAL = 'LOCAL_CS["local",UNIT["metre",1],AXIS["east",EAST],AXIS["north",NORTH]]'
 
 
 class ConsistencyError(PointNetKLError):
@@ -41,7 +41,7 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a survey's map frame lies."""
+    """The place of a survey's map frame on the earth, and the size of the cells."""
 
     origin: tuple[float, float]  # easting and northing of the map frame's origin, metres
     crs: str  # projected, or "local"
@@ -60,7 +60,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Rasters:
-    """A survey's errors in metres (rows, columns) by trajectory, north up, NaN where no two submaps meet."""
+    """A survey's errors in metres (rows, columns) by trajectory, north up; NaN where no two submaps overlap."""
 
     errors: Mapping[str, np.ndarray]
     extent: tuple[float, float, float, float]  # west, east, south, north, metres in the survey's CRS
@@ -85,29 +85,29 @@ def read_origin(path: Path) -> tuple[tuple[float, float], str]:
     return (float(east), float(north)), str(metadata["crs"])
 
 
-def of_trajectories(trajectories: pd.DataFrame, cells_at: Callable[[np.ndarray], Cells]) -> dict[str, Cells]:
-    """Return the cells that `cells_at` poses (n, 4, 4) finds, by trajectory of a table slam.TRAJECTORIES.
+def cells_by_trajectory(trajectories: pd.DataFrame, measure: Callable[[np.ndarray], Cells]) -> dict[str, Cells]:
+    """Return what `measure` makes of the poses (n, 4, 4) of each trajectory in a table benchmark.tables.TRAJECTORIES.
 
-    Levelled poses: a solution's roll and pitch, some ten-thousandths of a radian, are not in the table.
+    The poses are levelled: the table lacks a solution's roll and pitch, which are some ten-thousandths of a radian.
     """
     return {
-        str(which): cells_at(submap.poses_from_table(rows.sort_values("submap")))
-        for which, rows in trajectories.groupby("which", sort=False)
+        str(name): measure(submap.poses_from_table(rows.sort_values("submap")))
+        for name, rows in trajectories.groupby("which", sort=False)
     }
 
 
-def extent(every: Iterable[Cells]) -> Extent:
-    """Return what holds all the cells of some trajectories; one cell, at the origin, if they have none.
+def extent(trajectories: Iterable[Cells]) -> Extent:
+    """Return the extent that holds all cells of some trajectories; one cell, at the origin, if they have none.
 
     Raises:
-        ConsistencyError: that is more than any raster should have.
+        ConsistencyError: the extent is too large for a raster.
     """
-    some = [each for each in every if len(each.row)]
-    if not some:
+    occupied = [cells for cells in trajectories if len(cells.row)]
+    if not occupied:
         return Extent(0, 0, 1, 1)
-    column, row = (min(int(each[axis].min()) for each in some) for axis in (0, 1))
-    columns = max(int(each.column.max()) for each in some) - column + 1
-    rows = max(int(each.row.max()) for each in some) - row + 1
+    column, row = (min(int(cells[axis].min()) for cells in occupied) for axis in (0, 1))
+    columns = max(int(cells.column.max()) for cells in occupied) - column + 1
+    rows = max(int(cells.row.max()) for cells in occupied) - row + 1
     if columns * rows > _LARGEST:
         raise ConsistencyError(
             f"the submaps of all trajectories spread over {columns} x {rows} cells, and a raster has at most"
@@ -116,15 +116,15 @@ def extent(every: Iterable[Cells]) -> Extent:
     return Extent(column, row, columns, rows)
 
 
-def raster(cells: Cells, within: Extent) -> np.ndarray:
-    """Return errors in metres (rows, columns) float32, the northernmost row first, NaN where no two submaps meet."""
-    image = np.full((within.rows, within.columns), np.nan, np.float32)
-    image[within.row + within.rows - 1 - cells.row, cells.column - within.column] = cells.error_m
+def raster(cells: Cells, extent: Extent) -> np.ndarray:
+    """Return errors in metres (rows, columns) float32, the northernmost row first, NaN where no two submaps overlap."""
+    image = np.full((extent.rows, extent.columns), np.nan, np.float32)
+    image[extent.row + extent.rows - 1 - cells.row, cells.column - extent.column] = cells.error_m
     return image
 
 
 def write(path: Path, cells: Mapping[str, Cells], frame: Frame, metadata: Mapping[str, Any]) -> None:
-    """Write trajectories' cells as a GeoTIFF, a band for each, which it describes by the trajectory's name.
+    """Write trajectories' cells as a GeoTIFF with a band for each, named after the trajectory.
 
     Equal input gives equal bytes.
 
@@ -135,25 +135,25 @@ def write(path: Path, cells: Mapping[str, Cells], frame: Frame, metadata: Mappin
     import rasterio  # slow to import
     from rasterio.io import MemoryFile
 
-    within = extent(cells.values())
+    whole = extent(cells.values())
     crs = _crs(path, frame.crs)
-    west = frame.origin[0] + within.column * frame.cell_m
-    north = frame.origin[1] + (within.row + within.rows) * frame.cell_m
+    west = frame.origin[0] + whole.column * frame.cell_m
+    north = frame.origin[1] + (whole.row + whole.rows) * frame.cell_m
     transform = rasterio.Affine(frame.cell_m, 0.0, west, 0.0, -frame.cell_m, north)
-    shape = {"width": within.columns, "height": within.rows, "count": len(cells), "dtype": "float32"}
+    shape = {"width": whole.columns, "height": whole.rows, "count": len(cells), "dtype": "float32"}
     layout = {"compress": "deflate", "predictor": 3, "interleave": "band"}
     with MemoryFile() as memory:
         with memory.open(driver="GTiff", crs=crs, transform=transform, nodata=np.nan, **shape, **layout) as file:
-            for band, (name, each) in enumerate(cells.items(), 1):
-                file.write(raster(each, within), band)
+            for band, (name, trajectory) in enumerate(cells.items(), 1):
+                file.write(raster(trajectory, whole), band)
                 file.set_band_description(band, name)
                 file.set_band_unit(band, "m")
             file.update_tags(pointnetkl=json.dumps(metadata, sort_keys=True))
         artifacts.write_bytes(path, bytes(memory.read()))
 
 
-def read(path: Path, wanted: Collection[str]) -> Rasters:
-    """Read the rasters of some trajectories; those that the file has no band of are left out.
+def read(path: Path, trajectories: Collection[str]) -> Rasters:
+    """Read the rasters of some trajectories; those without a band in the file are left out.
 
     Raises:
         ConsistencyError: the file cannot be read.
@@ -162,19 +162,19 @@ def read(path: Path, wanted: Collection[str]) -> Rasters:
 
     try:
         with rasterio.open(path) as file:
-            bands = {name: file.read(i) for i, name in enumerate(file.descriptions, 1) if name in wanted}
-            box = file.bounds
+            bands = {name: file.read(i) for i, name in enumerate(file.descriptions, 1) if name in trajectories}
+            bounds = file.bounds
     except rasterio.errors.RasterioError as error:
         reason = " ".join(str(error).split())[:120]
         raise ConsistencyError(f"{path}: is not a GeoTIFF that can be read ({reason}); run dvc repro slam") from error
-    found = {name: bands[name] for name in wanted if name in bands}
-    return Rasters(found, (box.left, box.right, box.bottom, box.top))
+    errors = {name: bands[name] for name in trajectories if name in bands}
+    return Rasters(errors, (bounds.left, bounds.right, bounds.bottom, bounds.top))
 
 
 def _crs(path: Path, name: str) -> Any:
     import rasterio
 
     try:
-        return rasterio.CRS.from_string(_NOWHERE if name == "local" else name)
+        return rasterio.CRS.from_string(_LOCAL if name == "local" else name)
     except rasterio.errors.CRSError as error:
         raise ConsistencyError(f"{path}: the survey's crs {name!r} is unknown; name another, run ingest") from error

@@ -1,7 +1,7 @@
-"""How far submaps lie apart in a cell of their map: the nearest points of a cloud, by buckets in x and y.
+"""Kernels of the map-to-map error: distances to the nearest points of a cloud, by buckets in x and y.
 
-A search begins with a distance within which there surely is a point, for one of b's points lies in the same cell and
-points asked one after the other are near to each other: it looks at few buckets, and finds the very nearest.
+A search starts with a bound on the distance: one of the cloud's points lies in the same cell, and the point before was
+near this one. So it visits few buckets, and finds the exact nearest point.
 """
 
 import math
@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-# sums stay in their order: the answer must not depend on which thread, or process, takes a cell
+# no fastmath, which reorders sums: a cell's error must not depend on the thread or process that computes it
 _kernel: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
 _device: Any = numba.njit(inline="always", error_model="numpy")
 _POINTS_PER_BUCKET = 2.0
-_RIM = 1.0 + 1e-6  # more than what rounding moves a distance by, as a factor and in metres (of its square)
-_RIM_M2 = 1e-12
+_RIM, _RIM_M2 = 1.0 + 1e-6, 1e-12  # exceed the rounding of a squared distance: a factor, and square metres
 
 
 class Buckets(NamedTuple):
@@ -30,7 +29,7 @@ class Buckets(NamedTuple):
 
 
 def buckets(clouds: Sequence[np.ndarray]) -> Buckets:
-    """Return clouds (n_i, 3) sorted by buckets of some points each."""
+    """Return clouds (n_i, 3) sorted by buckets that hold a few points."""
     sorted_, starts, shapes, corners, point = [], [], [], [], 0
     for cloud in clouds:
         low, span = cloud[:, :2].min(axis=0), np.ptp(cloud[:, :2], axis=0)
@@ -45,30 +44,30 @@ def buckets(clouds: Sequence[np.ndarray]) -> Buckets:
         shapes.append((columns, rows))
         corners.append((*low, edge))
         point += len(cloud)
-    first = np.cumsum([0, *(len(each) for each in starts[:-1])])
+    first = np.cumsum([0, *(len(of_cloud) for of_cloud in starts[:-1])])
     return Buckets(np.concatenate(sorted_), np.concatenate(starts), first, np.array(shapes), np.array(corners))
 
 
 @_kernel
 def grouped(group, count):  # type: ignore[no-untyped-def]
-    """Return where each of `count` groups starts (count + 1,), and its members, in their own order."""
+    """Return the start of each of `count` groups (count + 1,) in a list of members, and that list, ordered by group."""
     starts = np.zeros(count + 1, np.int64)
-    for each in group:
-        starts[each + 1] += 1
+    for index in group:
+        starts[index + 1] += 1
     starts = np.cumsum(starts)
-    place, order = starts[:-1].copy(), np.empty(len(group), np.int64)
+    free, order = starts[:-1].copy(), np.empty(len(group), np.int64)
     for member in range(len(group)):
-        order[place[group[member]]] = member
-        place[group[member]] += 1
+        order[free[group[member]]] = member
+        free[group[member]] += 1
     return starts, order
 
 
 @_kernel
-def worst_pairs(begin, end, starts, owner, points, T_submap_map, to, worst):  # type: ignore[no-untyped-def]
-    """Fill `worst` of the cells from `begin` to `end` with their worst pair's mean distance; -1: a submap alone.
+def worst_pairs(begin, end, starts, owner, points, T_submap_map, targets, worst):  # type: ignore[no-untyped-def]
+    """Fill `worst` of the cells from `begin` to `end` with their worst pair's mean distance; -1: only one submap.
 
-    `points` (n, 3) in the map and whose they are, `owner`, stand cell after cell, from `starts`, and within a cell
-    submap after submap.
+    `points` (n, 3) in the map frame and their submaps, `owner`, are sorted by cell and then by submap; a cell's begin
+    at `starts`. `targets` are the Buckets of all submaps.
     """
     for cell in range(begin, end):
         worst[cell] = -1.0
@@ -78,7 +77,7 @@ def worst_pairs(begin, end, starts, owner, points, T_submap_map, to, worst):  # 
             b = starts[cell]
             while b < starts[cell + 1]:
                 if owner[b] != owner[a]:
-                    mean = _mean_distance(points[a:a_end], points[b], T_submap_map[owner[b]], owner[b], to)
+                    mean = _mean_distance(points[a:a_end], points[b], T_submap_map[owner[b]], owner[b], targets)
                     worst[cell] = max(worst[cell], mean)
                 b = _run(b, starts[cell + 1], owner)
             a = a_end
@@ -93,17 +92,17 @@ def _run(begin, end, owner):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _mean_distance(asking, one, T, b, to):  # type: ignore[no-untyped-def]
+def _mean_distance(asking, neighbour, T, b, targets):  # type: ignore[no-untyped-def]
     total, near = 0.0, math.inf
     for i in range(len(asking)):
         p = asking[i]
-        # there is `one`, and what was nearest to the point before is no farther than the way there and on
+        # two bounds: b's point `neighbour`, and by the triangle inequality the nearest of the point before
         step = math.sqrt(_square(p, asking[i - 1])) if i > 0 else 0.0
-        within = min(_square(p, one), (near + step) ** 2) * _RIM + _RIM_M2
+        within = min(_square(p, neighbour), (near + step) ** 2) * _RIM + _RIM_M2
         x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
         y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
         z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        near = math.sqrt(_nearest(x, y, z, b, within, to))
+        near = math.sqrt(_nearest(x, y, z, b, within, targets))
         total += near
     return total / len(asking)
 
@@ -114,10 +113,10 @@ def _square(p, q):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _nearest(x, y, z, b, within, to):  # type: ignore[no-untyped-def]
-    # squared metres; by columns of buckets, from the point's own outwards
-    x0, y0, edge = to.corner[b]
-    columns, rows = to.shape[b]
+def _nearest(x, y, z, b, within, targets):  # type: ignore[no-untyped-def]
+    # squared metres; by columns of buckets, from the point's own column outwards
+    x0, y0, edge = targets.corner[b]
+    columns, rows = targets.shape[b]
     own = math.floor((x - x0) / edge)
     for side in range(2):  # its own column and those above, then those below
         column = max(own, 0) if side == 0 else min(own, columns) - 1
@@ -129,9 +128,9 @@ def _nearest(x, y, z, b, within, to):  # type: ignore[no-untyped-def]
             low = max(math.floor((y - span - y0) / edge), 0)
             high = min(math.floor((y + span - y0) / edge), rows - 1)
             if low <= high:
-                bucket = to.first[b] + column * rows
-                for j in range(to.starts[bucket + low], to.starts[bucket + high + 1]):
-                    dx, dy, dz = to.points[j, 0] - x, to.points[j, 1] - y, to.points[j, 2] - z
+                bucket = targets.first[b] + column * rows
+                for j in range(targets.starts[bucket + low], targets.starts[bucket + high + 1]):
+                    dx, dy, dz = targets.points[j, 0] - x, targets.points[j, 1] - y, targets.points[j, 2] - z
                     within = min(within, dx * dx + dy * dy + dz * dz)
             column += 1 - 2 * side
     return within
@@ -141,9 +140,9 @@ def _nearest(x, y, z, b, within, to):  # type: ignore[no-untyped-def]
 def sampled_pairs(begin, end, side, runs, first, owner, drawn, points, error):  # type: ignore[no-untyped-def]
     """Fill `error` of a grid's cells (side * side,), columns `begin` to `end`; -1: fewer than two submaps.
 
-    `runs` says where the runs of a cell begin, and `first` and `owner` where the points (n, 3) of a run begin and
-    whose they are; `drawn` (runs, draws) are points of each run. A draw counts its largest distance from a submap's
-    point to another's nearest in the cell and those around it, a cell the mean of its draws.
+    A run is the points of one submap in one cell: a cell's runs begin at `runs`, a run's points (n, 3) at `first`, and
+    its submap is `owner`; `drawn` (runs, draws) are random points of each run. A draw's value is the largest distance
+    from a submap's point to another's nearest in the cell and those around it, a cell's the mean of its draws.
     """
     largest, around = np.empty(drawn.shape[1]), np.empty((9, 2), np.int64)
     for cell in range(begin * side, end * side):
@@ -152,32 +151,32 @@ def sampled_pairs(begin, end, side, runs, first, owner, drawn, points, error):  
             continue
         largest[:] = 0.0
         for b in range(runs[cell], runs[cell + 1]):
-            found = _around(cell, b, side, runs, first, owner, around)
+            count = _around(cell, b, side, runs, first, owner, around)
             for a in range(runs[cell], runs[cell + 1]):
                 for draw in range(len(largest)):
                     if a != b:
-                        square = _nearest_of(points[drawn[a, draw]], around[:found], points, largest[draw])
+                        square = _nearest_of(points[drawn[a, draw]], around[:count], points, largest[draw])
                         largest[draw] = max(largest[draw], square)
         error[cell] = np.mean(np.sqrt(largest))
 
 
 @_kernel
 def _around(cell, b, side, runs, first, owner, around):  # type: ignore[no-untyped-def]
-    # the cell itself before those around it: what is near is found soon
-    column, row, found = cell // side, cell % side, 1
+    # the cell itself comes first, because its points are nearer
+    column, row, count = cell // side, cell % side, 1
     around[0, 0], around[0, 1] = first[b], first[b + 1]
     for other in range(max(column - 1, 0), min(column + 2, side)):
         for near in range(other * side + max(row - 1, 0), other * side + min(row + 2, side)):
             for run in range(runs[near], runs[near + 1]):
                 if owner[run] == owner[b] and run != b:
-                    around[found, 0], around[found, 1] = first[run], first[run + 1]
-                    found += 1
-    return found
+                    around[count, 0], around[count, 1] = first[run], first[run + 1]
+                    count += 1
+    return count
 
 
 @_kernel
 def _nearest_of(p, ranges, points, enough):  # type: ignore[no-untyped-def]
-    # a square that is small enough ends the search: the largest counts
+    # a square of at most `enough` ends the search, because only the largest counts
     square = math.inf
     for begin, end in ranges:
         for j in range(begin, end):

@@ -1,8 +1,8 @@
-"""Consistency of a map where submaps overlap (after Roman and Singh 2006): how far apart they lie there.
+"""The map-to-map error: how far apart submaps lie where they overlap (after Roman and Singh 2006).
 
-In each cell of the map, for every ordered pair of submaps in it: the mean over a's points of the distance to b's
-nearest point. A cell counts its worst pair, the map the root mean square over its cells. Neighbouring points of
-one surface are never closer than their spacing allows, so a perfect map of independent soundings is not at zero.
+For every ordered pair of submaps (a, b) in a cell of the map we take the mean distance from a's points to b's nearest
+points. A cell's error is that of its worst pair, and the map's error the root mean square over its cells. Soundings of
+one surface are a spacing apart, so that even a perfect map of independent soundings has an error above zero.
 """
 
 import itertools
@@ -19,11 +19,11 @@ from pointnetkl.surveys import pose
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
 
-_SHARES = 8  # of the cells, that a thread takes: what one has more of, another has less of
+_SHARES = 8  # of the cells, a thread: cells do not take equal time, and with more shares threads end together
 
 
 class MapToMapError(PointNetKLError):
-    """The measure is asked for with settings that have no meaning."""
+    """A setting of the measure is out of its range."""
 
 
 class MapToMap:
@@ -32,8 +32,8 @@ class MapToMap:
     def __init__(self, clouds: Sequence[np.ndarray], cell: float, thinning: int) -> None:
         """Prepare clouds (n_i, 3) in submap frames; cells of `cell` metres; every `thinning`-th point asks.
 
-        Only the points that ask, and say which submaps are in a cell, are thinned. What they are compared with
-        stays whole: thinning it would lengthen every distance.
+        Only the points that ask are thinned; they also decide which submaps are in a cell. The points that answer
+        are not, because that would lengthen every distance.
 
         Raises:
             MapToMapError: the cell or the thinning is not positive.
@@ -43,8 +43,8 @@ class MapToMap:
         self._cell = cell
         self._asking = [cloud[::thinning] for cloud in clouds]
         self._owner = np.repeat(np.arange(len(clouds)), [len(points) for points in self._asking])
-        # in the submaps' own frames, where they stay the same whatever the poses
-        self._to = map_kernel.buckets(clouds)
+        # in the submaps' own frames, where no pose moves them
+        self._targets = map_kernel.buckets(clouds)
 
     def __call__(self, poses: np.ndarray) -> float:
         """Return the error in metres for poses T_map_submap (n, 4, 4); NaN where no two submaps share a cell."""
@@ -53,10 +53,10 @@ class MapToMap:
     def cells(self, poses: np.ndarray) -> Cells:
         """Return the error of every cell that submaps share at poses T_map_submap (n, 4, 4)."""
         points = np.concatenate([pose.transform(T, p) for T, p in zip(poses, self._asking, strict=True)])
-        keys, of = _unique(footprint.keys(points, self._cell))
-        starts, order = map_kernel.grouped(of, len(keys))
-        worst, to_submaps = np.empty(len(keys)), np.linalg.inv(poses)
-        arguments = (starts, self._owner[order], points[order], to_submaps, self._to, worst)
+        keys, cell = _unique(footprint.keys(points, self._cell))
+        starts, order = map_kernel.grouped(cell, len(keys))
+        worst, T_submap_map = np.empty(len(keys)), np.linalg.inv(poses)
+        arguments = (starts, self._owner[order], points[order], T_submap_map, self._targets, worst)
         in_shares(lambda begin, end: map_kernel.worst_pairs(begin, end, *arguments), len(keys))
         shared = worst >= 0.0
         return Cells(*footprint.places(keys[shared]), worst[shared])
@@ -82,16 +82,16 @@ def _thinning_row(
 
 
 def in_shares(work: Callable[[int, int], None], count: int) -> None:
-    """Do work(begin, end) on all of `count` cells, by threads: of a kernel, which lets others work meanwhile."""
+    """Call work(begin, end) on all of `count` cells, in threads, which run at once because kernels release the GIL."""
     bounds = np.linspace(0, count, compute.workers() * _SHARES + 1).astype(np.int64)
     with ThreadPoolExecutor(compute.workers()) as pool:
         list(pool.map(lambda share: work(*share), itertools.pairwise(bounds.tolist())))
 
 
 def _unique(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    # the same as np.unique, without sorting every point
-    of, found = pd.factorize(keys)
-    order = np.argsort(found)
-    rank = np.empty(len(found), np.int64)
-    rank[order] = np.arange(len(found))
-    return found[order], rank[of]
+    # as np.unique with inverse, but it sorts cells and not points
+    code, unique = pd.factorize(keys)
+    order = np.argsort(unique)
+    rank = np.empty(len(unique), np.int64)
+    rank[order] = np.arange(len(unique))
+    return unique[order], rank[code]

@@ -1,4 +1,4 @@
-"""Footprints of submaps as occupied cells of a map grid, and which earlier ones cover a new one."""
+"""Footprints of submaps, as occupied cells of a map grid, and how much of one another covers."""
 
 import numpy as np
 
@@ -15,22 +15,22 @@ def keys(points: np.ndarray, cell: float) -> np.ndarray:
 
 
 def places(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns and rows of cells, given their keys."""
-    row = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)  # the lower half, which has a sign
+    """Return the columns and rows of cells by their keys."""
+    row = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)  # the lower half of the key, sign extended
     return (keys - row) >> 32, row
 
 
 def coverage(covered: np.ndarray, covering: np.ndarray) -> float:
-    """Return the share of one footprint's cells that another one has too; keys as made by `cells`."""
-    place = np.minimum(np.searchsorted(covering, covered), len(covering) - 1)
-    return float(np.mean(covering[place] == covered))
+    """Return the share of one footprint's cells that another one has too, by their keys (see `cells`)."""
+    index = np.minimum(np.searchsorted(covering, covered), len(covering) - 1)
+    return float(np.mean(covering[index] == covered))
 
 
 class Footprints:
     """The footprints of the submaps in a map so far, in the order they were added."""
 
     def __init__(self, cell: float) -> None:
-        """Begin an empty map with cells of `cell` metres."""
+        """Start an empty map with cells of `cell` metres."""
         self._cell = cell
         self._cells: list[np.ndarray] = []
         self._bounds: list[np.ndarray] = []
@@ -41,15 +41,15 @@ class Footprints:
         self._bounds.append(_bounds(points))
 
     def covering(self, points: np.ndarray, share: float, among: int) -> np.ndarray:
-        """Return which of the first `among` footprints cover at least `share` of that of points (n, 3)."""
+        """Return which of the first `among` footprints cover at least `share` of the footprint of points (n, 3)."""
         if among < 1:
             return np.empty(0, np.int64)
         footprint, (low_x, low_y, high_x, high_y) = cells(points, self._cell), _bounds(points)
         low, high = np.hsplit(np.array(self._bounds[:among]), 2)
-        # most submaps of a long survey lie elsewhere, and their cells need not be looked at
+        # most submaps of a long survey lie elsewhere, and we can skip their cells
         near = ((low <= [high_x, high_y]) & (high >= [low_x, low_y])).all(axis=1)
-        found = [k for k in np.flatnonzero(near) if coverage(footprint, self._cells[k]) >= share]
-        return np.array(found, np.int64)
+        indices = [k for k in np.flatnonzero(near) if coverage(footprint, self._cells[k]) >= share]
+        return np.array(indices, np.int64)
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A survey's graph from its file, checked whole before anything is computed from it."""
+"""Reads a survey's graph from its file, and checks all of it before anything is computed."""
 
 import math
 from collections.abc import Mapping
@@ -11,8 +11,8 @@ from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures, SurveyGraph, SurveyGraphError
 from pointnetkl.workflow import artifacts
 
-# Kind (numpy's dtype.kind) and shape of the arrays: of n nodes, e edges, r registrations that find m numbers, and
-# x rejected ones.
+# Kind (numpy's dtype.kind) and shape of the arrays, for n nodes, e edges, r registrations in m dimensions and x
+# rejected registrations.
 _POSES = ("f", ("n", 4, 4))
 _FORMS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
     **{"survey": ("U", ()), "draws": ("i", ()), "number": ("i", ("n",))},
@@ -25,24 +25,24 @@ _FORMS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
     "registration_converged": ("b", ("r",)),
     **dict.fromkeys(("rejected_node", "rejected_draw"), ("i", ("x",))),
 }
-_CENTROID = "node_centroid_m"  # only where yaw is found
+_CENTROID = "node_centroid_m"  # only where registrations find yaw
 _COUNTED = {"n": "number", "e": "edge_source", "r": "registration_node", "x": "rejected_node"}
 
 
 class GraphFile(NamedTuple):
-    """A graph, and what it was made with."""
+    """A graph, and its metadata: the settings that it was made with."""
 
     path: Path
     graph: SurveyGraph
-    made_with: Mapping[str, Any]
+    metadata: Mapping[str, Any]
 
     def number(self, name: str) -> float:
-        """Return a number that the graph was made with, by its dotted name.
+        """Return a number of the metadata by its dotted name.
 
         Raises:
-            SurveyGraphError: the file does not say it, or what is no number above zero.
+            SurveyGraphError: the metadata lacks it, or it is not a number above zero.
         """
-        value: Any = self.made_with
+        value: Any = self.metadata
         for part in name.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
         if type(value) not in (int, float) or not 0 < value < math.inf:
@@ -51,16 +51,16 @@ class GraphFile(NamedTuple):
 
 
 def read(path: Path, survey: str | None = None, dimensions: int | None = None) -> GraphFile:
-    """Return the graph of a file: of this survey, and with registrations of M dimensions, where they are given.
+    """Return the graph of a file; if given, it must be of this survey, and its registrations have M dimensions.
 
     Raises:
-        SurveyGraphError: the graph is damaged, or not the one that was meant.
+        SurveyGraphError: the graph is damaged, or of another survey, or has other dimensions.
         ArtifactError: the file is missing or damaged.
     """
-    arrays, made_with = artifacts.read_arrays(path)
+    arrays, metadata = artifacts.read_arrays(path)
     try:
         _check_arrays(arrays)
-        _check_draws(int(arrays["draws"]), made_with)
+        _check_draws(int(arrays["draws"]), metadata)
         graph = survey_graph.from_arrays(arrays)
         for closures in graph.draws:
             _check_draw(closures)
@@ -68,12 +68,12 @@ def read(path: Path, survey: str | None = None, dimensions: int | None = None) -
         raise SurveyGraphError(f"{path}: the graph is damaged: {error}; delete it and run dvc repro") from error
     if survey not in (None, graph.survey):
         raise SurveyGraphError(f"{path}: is of survey {graph.survey}, not of {survey}; give the files of one survey")
-    if dimensions not in (None, found := graph.closures.start.shape[1]):
+    if dimensions not in (None, m := graph.closures.start.shape[1]):
         raise SurveyGraphError(
-            f"{path}: its registrations find {found} numbers, and by registration.dof of the parameters they would"
-            f" find {dimensions}; run dvc repro graph@{graph.survey}"
+            f"{path}: its registrations have {m} dimensions, and by registration.dof of the parameters they would"
+            f" have {dimensions}; run dvc repro graph@{graph.survey}"
         )
-    return GraphFile(path, graph, made_with)
+    return GraphFile(path, graph, metadata)
 
 
 def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
@@ -82,10 +82,10 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
     sizes = {letter: arrays[name].size for letter, name in _COUNTED.items()}
     sizes["m"] = 3 if _CENTROID in arrays else 2
     for name, (kind, shape) in {**_FORMS, **({_CENTROID: ("f", ("n", 2))} if sizes["m"] == 3 else {})}.items():
-        found, due = arrays[name], tuple(sizes.get(str(each), each) for each in shape)
-        if (found.dtype.kind, found.shape) != (kind, due):
-            raise ValueError(f"{name} has the shape {found.shape} and type {found.dtype}")
-        if kind == "f" and name != "truth" and not np.isfinite(found).all():  # a truth may be unknown
+        array, expected = arrays[name], tuple(sizes.get(str(size), size) for size in shape)
+        if (array.dtype.kind, array.shape) != (kind, expected):
+            raise ValueError(f"{name} has the shape {array.shape} and type {array.dtype}")
+        if kind == "f" and name != "truth" and not np.isfinite(array).all():  # a truth may be unknown
             raise ValueError(f"{name} has a number that is not finite")
     _require_below(arrays, int(arrays["draws"]), "edge_draw", "registration_draw", "rejected_draw")
     _require_below(arrays, sizes["n"], "edge_target", "edge_source", "registration_node", "rejected_node")
@@ -93,10 +93,10 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
         raise ValueError("it has no submaps, one of a number below 0, or two of one number")
 
 
-def _check_draws(draws: int, made_with: Mapping[str, Any]) -> None:
-    said = made_with.get("graph")
-    if draws < 1 or (isinstance(said, Mapping) and said.get("draws", draws) != draws):
-        raise ValueError(f"draws is {draws}, and it was not made with so many")
+def _check_draws(draws: int, metadata: Mapping[str, Any]) -> None:
+    settings = metadata.get("graph")
+    if draws < 1 or (isinstance(settings, Mapping) and settings.get("draws", draws) != draws):
+        raise ValueError(f"draws is {draws}, which does not agree with its metadata")
 
 
 def _require_below(arrays: Mapping[str, np.ndarray], count: int, *names: str) -> None:
@@ -106,7 +106,7 @@ def _require_below(arrays: Mapping[str, np.ndarray], count: int, *names: str) ->
 
 
 def _check_draw(closures: Closures) -> None:
-    which, edges = closures.registration, closures.edges
-    _require_below({"edge_registration": which}, len(closures.node), "edge_registration")
-    if (closures.node[which] != edges.source).any() or (edges.target >= edges.source).any():
-        raise ValueError("an edge does not lead from an earlier submap to the one that was registered")
+    registration, edges = closures.registration, closures.edges
+    _require_below({"edge_registration": registration}, len(closures.node), "edge_registration")
+    if (closures.node[registration] != edges.source).any() or (edges.target >= edges.source).any():
+        raise ValueError("an edge does not lead from an earlier submap to the registered one")

@@ -1,9 +1,9 @@
-"""The pose graph of one survey as a file: every method optimises the same one.
+"""The pose graph of one survey, which every method optimises, and its arrays on disk.
 
-Its poses are those of navigation, of "GT" (navigation optimised with the Monte Carlo covariances, the paper's
-stand-in for the truth) and of the truth where it is known. Its edges are dead reckoning between neighbours, as
-GT has it, and the loop closures of Algorithm 1, registered from perturbed GT poses: some draws of those, each with
-perturbations of its own, because the loop closures of one draw share their luck.
+It has poses by navigation, by "GT" (navigation optimised with the Monte Carlo covariances, which stands for the truth
+in the paper) and by the truth where it is known. Its edges are dead reckoning between neighbours, taken from GT, and
+the loop closures of Algorithm 1, registered from perturbed GT poses. There are several draws of the closures, each with
+its own perturbations, because all closures of one draw depend on the same ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, E
 from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow.errors import PointNetKLError
 
-_KINDS = ("edge", "registration", "rejected")  # of rows that each draw has some of
+_KINDS = ("edge", "registration", "rejected")  # of rows in each draw
 
 
 class SurveyGraphError(PointNetKLError):
-    """A survey's graph cannot be made, or not from this file."""
+    """A survey's graph cannot be made, or its file is damaged."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class Closures:
     """Edges from each registered submap to every submap that it was registered to; nodes count from 0."""
 
     edges: Edges  # e of them, from target k to source i > k
-    registration: np.ndarray  # (e,) which registration an edge comes from
+    registration: np.ndarray  # (e,) the registration that an edge comes from
     node: np.ndarray  # (r,) node i of each registration
-    start: np.ndarray  # (r, M) where the registration started, metres in the map frame (and yaw) from the pose given
-    correction: np.ndarray  # (r, M) and where it ended
+    start: np.ndarray  # (r, M) start of the registration relative to the node's pose: metres in the map frame, and yaw
+    correction: np.ndarray  # (r, M) its end, likewise
     converged: np.ndarray  # (r,) bool; the others stopped at the last iteration, as some of the labels' do
     rejected: np.ndarray  # nodes that returned to mapped ground but had no point to match: no edge
-    centroid: np.ndarray | None = None  # (n, 2) of each node's points, in its frame, where yaw is found too (M = 3)
+    centroid: np.ndarray | None = None  # (n, 2) of each node's points, in its frame; only with yaw (M = 3)
 
     @property
     def levers(self) -> np.ndarray | None:
-        """Return the centroids (e, 2) of the edges' sources, about which their Q and errors are; None for M = 2."""
+        """Return the centroids (e, 2) of the edges' sources, the origins of their Q and errors; None for M = 2."""
         return None if self.centroid is None else self.centroid[self.edges.source]
 
 
@@ -48,14 +48,14 @@ class SurveyGraph:
     """One survey's nodes (its n submaps, in the order of the track) and edges."""
 
     survey: str
-    number: np.ndarray  # (n,) the submap at each node
+    number: np.ndarray  # (n,) of the submap at each node
     navigation: np.ndarray  # (n, 4, 4) T_map_submap
     gt: np.ndarray  # (n, 4, 4)
     truth: np.ndarray  # (n, 4, 4), NaN where it is not known
     draws: tuple[Closures, ...]
     dead_reckoning_noise: DeadReckoningNoise
     closure_noise: ClosureNoise
-    track: bool = True  # whether a vehicle went from node to node; else there are no edges, and nothing to optimise
+    track: bool = True  # whether a vehicle went from node to node; if not, there are no edges to optimise
 
     @property
     def closures(self) -> Closures:
@@ -66,10 +66,10 @@ class SurveyGraph:
 def edge_covariances(
     numbers: Sequence[int] | np.ndarray, q: Mapping[int, np.ndarray], closures: Closures, origin: str
 ) -> np.ndarray:
-    """Return each edge's Q_i (e, M, M): that of the registered submap, its source.
+    """Return each edge's Q_i (e, M, M), the covariance of its source, which is the registered submap.
 
     Raises:
-        SurveyGraphError: a submap that closes a loop has no covariance, or one with yaw where the graph has none.
+        SurveyGraphError: a submap that closes a loop has no covariance, or one of other dimensions.
     """
     m = 2 if closures.centroid is None else 3
     sources = [int(numbers[i]) for i in closures.edges.source]
@@ -78,7 +78,7 @@ def edge_covariances(
     if wrong := [number for number in sources if q[number].shape != (m, m)]:
         raise SurveyGraphError(
             f"{origin}: the covariance of submap {wrong[0]} has the shape {q[wrong[0]].shape}, and the graph's"
-            f" registrations find {m} numbers; run dvc repro"
+            f" registrations have {m} dimensions; run dvc repro"
         )
     return np.array([q[number] for number in sources]).reshape(-1, m, m)
 
@@ -91,35 +91,35 @@ def full_covariances(
     origin: str,
     edges: str = "all",
 ) -> np.ndarray:
-    """Return the covariances (e, 6, 6) of closures with Q (M, M) by submap, as pose_graph has them.
+    """Return the covariances (e, 6, 6) of closures with Q (M, M) by submap, as pose_graph takes them.
 
-    `edges` is all: a registration counts once an edge (the paper); or shared: Q is multiplied by its number of edges,
-    so that it counts once.
+    With `edges` "all" a registration counts once for each of its edges (the paper); with "shared" Q is multiplied by
+    the number of edges, so that the registration counts once.
 
     Raises:
         SurveyGraphError: as edge_covariances.
     """
-    of_edges = edge_covariances(numbers, q, closures, origin)
+    edge_q = edge_covariances(numbers, q, closures, origin)
     if edges == "shared":
-        of_edges = of_edges * np.bincount(closures.registration)[closures.registration, None, None]
-    return pose_graph.closure_covariances(of_edges, noise, closures.levers)
+        edge_q = edge_q * np.bincount(closures.registration)[closures.registration, None, None]
+    return pose_graph.closure_covariances(edge_q, noise, closures.levers)
 
 
 def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
     """Return each edge's error (e, M) against poses T_map_submap (n, 4, 4), in the source's frame.
 
-    Metres; with yaw the logarithm of what is left, about the centroid of the source's points, as the labels' errors.
+    Metres, and with yaw the logarithm of the residual about the centroid of the source's points, as the labels' errors.
     """
     edges, centroid = closures.edges, closures.levers
     T_target_source = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
-    return what_is_left(np.linalg.inv(edges.measured) @ T_target_source, centroid)
+    return residual_errors(np.linalg.inv(edges.measured) @ T_target_source, centroid)
 
 
-def what_is_left(left: np.ndarray, centroid: np.ndarray | None) -> np.ndarray:
-    """Return transforms (n, 4, 4) that should be the identity as errors (n, M), M = 3 with the centroids (n, 2)."""
+def residual_errors(residual: np.ndarray, centroid: np.ndarray | None) -> np.ndarray:
+    """Return residuals (n, 4, 4), identity at best, as errors (n, M): M = 2, or 3 with the centroids (n, 2)."""
     if centroid is None:
-        return np.asarray(left[:, :2, 3])
-    return SE2.from_matrix(left).about(-centroid).log()
+        return np.asarray(residual[:, :2, 3])
+    return SE2.from_matrix(residual).about(-centroid).log()
 
 
 def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
 
 
 def summary(graph: SurveyGraph) -> dict[str, Any]:
-    """Return the paper's graph in counts, and how far navigation, GT and the truth are from each other."""
+    """Return counts of the paper's graph, and the distances between navigation, GT and the truth."""
     closures = graph.closures
 
     def error(a: np.ndarray, b: np.ndarray) -> float | None:
@@ -144,7 +144,7 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
         "registrations": len(closures.node),
         "registrations_converged": int(closures.converged.sum()),
         "registrations_rejected": len(closures.rejected),
-        "loop_closures_by_draw": [len(each.edges.source) for each in graph.draws],
+        "loop_closures_by_draw": [len(closures.edges.source) for closures in graph.draws],
         "navigation_rmse_xyz_m": error(graph.navigation, graph.gt),
         "navigation_truth_rmse_xyz_m": error(graph.navigation, graph.truth),
         "gt_truth_rmse_xyz_m": error(graph.gt, graph.truth),
@@ -154,13 +154,13 @@ def summary(graph: SurveyGraph) -> dict[str, Any]:
 def to_arrays(graph: SurveyGraph) -> dict[str, np.ndarray]:
     """Return the graph as named arrays, with the errors of its loop closures against GT and against the truth.
 
-    Rows of `edge_*`, `registration_*` and `rejected_*` are those of every draw, one after the other; `*_draw` says
-    whose a row is.
+    Rows of `edge_*`, `registration_*` and `rejected_*` are those of all draws, one after the other; `*_draw` holds a
+    row's draw.
     """
-    draws = [_draw_arrays(each, graph.gt, graph.truth) for each in graph.draws]
-    rows = {name: np.concatenate([each[name] for each in draws]) for name in draws[0]}
+    draws = [_draw_arrays(closures, graph.gt, graph.truth) for closures in graph.draws]
+    rows = {name: np.concatenate([arrays[name] for arrays in draws]) for name in draws[0]}
     for kind in _KINDS:
-        counts = [len(each[f"{kind}_node" if kind != "edge" else "edge_source"]) for each in draws]
+        counts = [len(arrays[f"{kind}_node" if kind != "edge" else "edge_source"]) for arrays in draws]
         rows[f"{kind}_draw"] = np.repeat(np.arange(len(draws)), counts)
     centroid = graph.closures.centroid
     return {
