@@ -109,7 +109,7 @@ def left_out(
     describe = stored.model.describe
     if describe is None:
         raise SystemExit(f"{arguments.network}: holds a model of the kind {stored.kind}, must be mean_field")
-    samples = dataset.described(arguments.data / "training", samples, describe)
+    samples = dataset.with_descriptions(arguments.data / "training", samples, describe)
     of_sample = np.concatenate([classes[name] for name in known])
     seen = {name: np.stack([describe(points) for points in results.read_points(folders, name)[0]]) for name in judged}
     rows = []

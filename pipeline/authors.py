@@ -27,7 +27,7 @@ _CHECKPOINT_S = 60.0
 def main(arguments: argparse.Namespace) -> None:
     """Read all files, train, test, write everything."""
     kind = parameters.read(arguments.params, "models.pointnetkl.network", network.Settings)
-    chosen = parameters.read(arguments.params, "models.pointnetkl.train", training.Settings)
+    chosen = parameters.read(arguments.params, "models.pointnetkl.train", training.CloudSettings)
     judging = {
         name: parameters.read(arguments.params, f"report.{name}", of)
         for name, of in (("kl_floor_m2", float), ("block_submaps", int), ("seed", int))
@@ -79,7 +79,7 @@ def check_apart(learned: Mapping[str, Consolidated], tests: Mapping[str, Consoli
 
 def train(
     kind: network.Settings,
-    chosen: training.Settings,
+    chosen: training.CloudSettings,
     sets: tuple[Samples, Samples],
     kept: checkpoint.Checkpoint,
 ) -> tuple[network.PointNetKL, training.Outcome]:

@@ -12,13 +12,13 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
-    chosen = parameters.read(arguments.params, "estimate", estimated.Settings)
+    settings = parameters.read(arguments.params, "estimate", estimated.Settings)
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
-    covariances = method.tabulate(estimated.methods(labels, chosen, label, registration), submaps)
-    sections = {"estimate": chosen, "label": label, "registration": registration}
+    covariances = method.tabulate(estimated.methods(labels, settings, label, registration), submaps)
+    sections = {"estimate": settings, "label": label, "registration": registration}
     params = {section: parameters.as_metadata(values) for section, values in sections.items()}
     metadata = {"survey": arguments.survey, "params": params}
     artifacts.write_table(arguments.covariances, covariances, table.schema(registration.dimensions), metadata)

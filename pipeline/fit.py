@@ -13,18 +13,16 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 
 def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
-    chosen = parameters.read(arguments.params, "fit", fitting.Settings)
+    settings = parameters.read(arguments.params, "fit", fitting.Settings)
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    how = SelfRegistration(chosen.seed, label, registration)
+    how = SelfRegistration(settings.seed, label, registration)
     surveys = list(study.read(arguments.params).train)
-    fits = learned.fit(read_training(arguments.training, surveys, how), chosen)
-    sections = {"fit": chosen, "label": label, "registration": registration}
-    metadata = {section: parameters.as_metadata(values) for section, values in sections.items()}
-    learned.write(arguments.fits, fits, {**metadata, "surveys": surveys})
-    for name, each in fits.fits.items():
-        numbers = ", ".join(f"{key} {value:.4g}" for key, value in each.numbers.items())
-        print(f"{name}: {numbers}; mean KL {each.mean_kl:.4f} nats over {fits.submaps} training submaps")
+    fits = learned.fit(read_training(arguments.training, surveys, how), settings)
+    learned.write(arguments.fits, fits, {"fit": parameters.as_metadata(settings), "surveys": surveys})
+    for name, fit in fits.fits.items():
+        numbers = ", ".join(f"{key} {value:.4g}" for key, value in fit.numbers.items())
+        print(f"{name}: {numbers}; mean KL {fit.mean_kl:.4f} nats over {fits.submaps} training submaps")
 
 
 def read_training(folder: Path, surveys: list[str], how: SelfRegistration) -> fitting.Training:

@@ -3,10 +3,8 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import learned
 from pointnetkl.models import trained
-from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import method, table
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
@@ -14,18 +12,15 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
-    chosen = parameters.read(arguments.params, "predict", learned.Settings)
-    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    how = SelfRegistration(chosen.seed, label, registration)
+    settings = parameters.read(arguments.params, "predict", learned.Settings)
+    fits = learned.read(arguments.fits)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
-    fitted = learned.methods(learned.read(arguments.fits, registration.dimensions), how)
-    models = trained.load_all(arguments.models, label, registration)
-    covariances = method.tabulate([*fitted, *models], submaps)
-    sections = {"predict": chosen, "label": label, "registration": registration}
+    models = trained.load_all(arguments.models, fits.label, fits.registration)
+    covariances = method.tabulate([*learned.methods(fits, settings.seed), *models], submaps)
+    sections = {"predict": settings, "label": fits.label, "registration": fits.registration}
     params = {section: parameters.as_metadata(values) for section, values in sections.items()}
     metadata = {"survey": arguments.survey, "params": params}
-    artifacts.write_table(arguments.covariances, covariances, table.schema(registration.dimensions), metadata)
+    artifacts.write_table(arguments.covariances, covariances, table.schema(fits.registration.dimensions), metadata)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from pointnetkl import simulation
-from pointnetkl.reporting import report, results
+from pointnetkl.reporting import model_card, report, results
 from pointnetkl.reporting.results import Folders
 from pointnetkl.workflow import artifacts, command, parameters, study
 
@@ -14,11 +14,19 @@ def main(arguments: argparse.Namespace) -> None:
     chosen = parameters.read(arguments.params, "report", results.Settings)
     simulate = parameters.read(arguments.params, "simulate", dict[str, simulation.Settings])
     folders = Folders(arguments.data, arguments.models, arguments.reports)
-    made = report.make(folders, study.read(arguments.params), simulate, chosen)
-    for name, content in made.files.items():
+    studied = study.read(arguments.params)
+    made = report.make(folders, studied, simulate, chosen)
+    cards = {f"models/{name}.md": card(folders, name, studied).encode() for name in studied.models}
+    for name, content in (made.files | cards).items():
         artifacts.write_bytes(arguments.reports / name, content)
     print(*made.lines, sep="\n")
     print(f"The report: {arguments.reports / 'index.html'}")
+
+
+def card(folders: Folders, model: str, studied: study.Study) -> str:
+    """Return a trained model's card, from what its training says of it."""
+    summary = model_card.read(folders.reports / f"train/{model}.json")
+    return model_card.text(model, summary, studied.train)
 
 
 if __name__ == "__main__":

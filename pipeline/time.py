@@ -14,10 +14,8 @@ import numpy as np
 
 from pointnetkl import simulation
 from pointnetkl.methods import estimated, runtime, sampled
-from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import constant, learned
 from pointnetkl.models import trained
-from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.simulation import seabed
@@ -27,36 +25,34 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 def main(arguments: argparse.Namespace) -> None:
     """Time every method, write the means and standard deviations and print them."""
-    chosen = parameters.read(arguments.params, "time", runtime.Settings)
-    terrain = parameters.read(arguments.params, f"simulate.{chosen.terrain}.terrain", seabed.Settings)
-    submaps = [draw(chosen, terrain, number) for number in range(chosen.submaps)]
-    timings = {m.name: runtime.measure(m, submaps) for m in methods(arguments, chosen)}
-    for name, each in timings.items():
-        print(f"{name}: {each.mean_s:.3g} s +- {each.std_s:.2g} s a submap")
-    entries = {name: parameters.as_metadata(each) for name, each in timings.items()}
-    machine = {**runtime.machine(), "params": parameters.as_metadata(chosen)}
+    settings = parameters.read(arguments.params, "time", runtime.Settings)
+    terrain = parameters.read(arguments.params, f"simulate.{settings.terrain}.terrain", seabed.Settings)
+    submaps = [draw(settings, terrain, number) for number in range(settings.submaps)]
+    timings = {method.name: runtime.measure(method, submaps) for method in methods(arguments, settings)}
+    for name, timing in timings.items():
+        print(f"{name}: {timing.mean_s:.3g} s +- {timing.std_s:.2g} s a submap")
+    entries = {name: parameters.as_metadata(timing) for name, timing in timings.items()}
+    machine = {**runtime.machine(), "params": parameters.as_metadata(settings)}
     artifacts.write_json(arguments.runtime, {**entries, "machine": machine})
 
 
-def draw(chosen: runtime.Settings, terrain: seabed.Settings, number: int) -> Submap:
+def draw(settings: runtime.Settings, terrain: seabed.Settings, number: int) -> Submap:
     """Return one of the submaps to time on."""
-    rng = np.random.default_rng([chosen.seed, number])
-    return runtime.submap(simulation.patch(terrain, chosen.points, chosen.spacing_m, rng), number)
+    rng = np.random.default_rng([settings.seed, number])
+    return runtime.submap(simulation.patch(terrain, settings.points, settings.spacing_m, rng), number)
 
 
-def methods(arguments: argparse.Namespace, chosen: runtime.Settings) -> list[Method]:
+def methods(arguments: argparse.Namespace, settings: runtime.Settings) -> list[Method]:
     """Return every method; the constant's value does not matter to its time."""
-    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    estimate = parameters.read(arguments.params, "estimate", estimated.Settings)
     seed = parameters.read(arguments.params, "predict", learned.Settings).seed
-    fits = learned.read(arguments.fits, registration.dimensions)
+    fits = learned.read(arguments.fits)
+    label, registration = fits.label, fits.registration
     return [
-        sampled.Sampled(catalogue.MONTE_CARLO, chosen.runs, chosen.seed, label, registration),
+        sampled.Sampled(catalogue.MONTE_CARLO, settings.runs, settings.seed, label, registration),
         constant.Constant(catalogue.CONSTANT, np.eye(registration.dimensions)),
-        *estimated.without_labels(
-            parameters.read(arguments.params, "estimate", estimated.Settings), label, registration
-        ),
-        *learned.methods(fits, SelfRegistration(seed, label, registration)),
+        *estimated.without_labels(estimate, label, registration),
+        *learned.methods(fits, seed),
         *trained.load_all(arguments.models, label, registration),
     ]
 

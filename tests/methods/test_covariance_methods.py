@@ -18,7 +18,7 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, method, table
 from pointnetkl.registration.streams import Stream
 from pointnetkl.surveys.submap import Submap, SubmapError
-from pointnetkl.workflow import artifacts
+from pointnetkl.workflow import artifacts, parameters
 
 REGISTRATION = gicp.Settings(
     neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50
@@ -159,7 +159,7 @@ def test_every_method_gives_x_y_and_yaw_where_all_are_found(labels):
     q = np.stack([mc(60, 2, WITH_YAW).covariance(s) for s in SUBMAPS])
     rows = table.from_matrices("toy", "label", [s.number for s in SUBMAPS], q)
     fits = learned.fit(fitting.training([SUBMAPS], [rows], how), FIT)
-    methods = [*estimated.methods(rows, ESTIMATE, LABEL, WITH_YAW), *learned.methods(fits, how)]
+    methods = [*estimated.methods(rows, ESTIMATE, LABEL, WITH_YAW), *learned.methods(fits, how.seed)]
     tabulated = method.tabulate(methods, SUBMAPS)
     assert list(tabulated.columns) == table.schema(3).names
     assert table.to_matrices(tabulated).shape == (len(methods) * len(SUBMAPS), 3, 3)
@@ -199,14 +199,14 @@ def test_the_structure_tensor_fits_labels_better_than_their_mean(fits):
 
 
 def test_learned_methods_give_a_covariance_for_every_submap(fits):
-    rows = method.tabulate(learned.methods(fits, HOW), SUBMAPS)
+    rows = method.tabulate(learned.methods(fits, HOW.seed), SUBMAPS)
     assert list(rows["method"].unique()) == list(learned.LEARNERS)
     assert len(rows) == len(learned.LEARNERS) * len(SUBMAPS)
 
 
 def test_the_mean_kl_of_a_fit_is_that_of_its_method(fits, labels):
     # what is remembered is judged without the submap's own block: tests/test_cello.py
-    for each in (m for m in learned.methods(fits, HOW) if not fits.fits[m.name].rows):
+    for each in (m for m in learned.methods(fits, HOW.seed) if not fits.fits[m.name].rows):
         q = np.stack([each.covariance(s) for s in SUBMAPS])
         assert fitting.mean_kl(table.to_matrices(labels), q, 0.01) == pytest.approx(fits.fits[each.name].mean_kl)
 
@@ -214,8 +214,8 @@ def test_the_mean_kl_of_a_fit_is_that_of_its_method(fits, labels):
 def test_fits_come_back_as_they_were_written(tmp_path, fits):
     path = tmp_path / "fits.json"
     learned.write(path, fits, {"fit": {"seed": 4}})
-    assert learned.read(path, 2) == fits
-    assert artifacts.read_json(path)["params"] == {"fit": {"seed": 4}}
+    assert learned.read(path) == fits
+    assert artifacts.read_json(path)["params"]["fit"] == {"seed": 4}
 
 
 def test_a_damaged_file_of_fits_is_named_with_what_it_lacks(tmp_path, fits):
@@ -225,31 +225,34 @@ def test_a_damaged_file_of_fits_is_named_with_what_it_lacks(tmp_path, fits):
     del content["structure_tensor"]["gamma"]
     path.write_text(json.dumps(content))
     with pytest.raises(fitting.FittingError, match=r"fits.json: structure_tensor\.gamma is None"):
-        learned.read(path, 2)
+        learned.read(path)
     del content["structure_tensor"]
     path.write_text(json.dumps(content))
     with pytest.raises(fitting.FittingError, match="has no fit of structure_tensor"):
-        learned.read(path, 2)
+        learned.read(path)
     learned.write(path, fits, {})
     content = json.loads(path.read_text())
     for damage, said in (("1 nan", "a gap"), ("1 x", "without numbers"), ("1", "a gap")):
         path.write_text(json.dumps(content | {"cello": {**content["cello"], "rows": [damage, "1 2"]}}))
         with pytest.raises(fitting.FittingError, match=rf"cello\.rows has a line.*{said}"):
-            learned.read(path, 2)
+            learned.read(path)
     path.write_text(json.dumps(content | {"cello": {**content["cello"], "rows": []}}))
     with pytest.raises(fitting.FittingError, match="cello: remembers no rows of 10 numbers"):
-        learned.methods(learned.read(path, 2), HOW)
+        learned.methods(learned.read(path), HOW.seed)
     path.write_text(json.dumps(content)[:40])
     with pytest.raises(artifacts.ArtifactError, match="damaged"):
-        learned.read(path, 2)
+        learned.read(path)
 
 
-def test_fits_of_another_dof_say_so(tmp_path, fits):
+@pytest.mark.parametrize("section", ["label", "registration"])
+def test_fits_that_do_not_say_which_labels_they_are_of_are_refused(tmp_path, fits, section):
     path = tmp_path / "fits.json"
-    learned.write(path, fits, {"registration": {"dof": "xy"}})
-    assert learned.read(path, 2) == fits
-    with pytest.raises(fitting.FittingError, match=r"are of registration\.dof xy, and the parameters have xyyaw; run"):
-        learned.read(path, 3)
+    learned.write(path, fits, {})
+    content = json.loads(path.read_text())
+    del content["params"][section]
+    path.write_text(json.dumps(content))
+    with pytest.raises(parameters.SettingsError, match=rf"fits\.json: does not say with which {section} it was made"):
+        learned.read(path)
 
 
 def test_a_training_submap_without_a_label_is_an_error(labels):

@@ -42,11 +42,11 @@ def test_a_missing_model_says_what_to_run(tmp_path: Path):
 @pytest.mark.parametrize(
     ("label", "registration", "said"),
     [
-        ({}, {"dof": "xyyaw"}, "registration.dof xy, and the parameters have xyyaw"),
-        ({"copy": "split"}, {}, "label.copy same, and the parameters have split"),
-        ({"noise_sigma_m": 0.1}, {}, "label.noise_sigma_m 0.2, and the parameters have 0.1"),
-        ({"prior_variance_m2": 4.0}, {}, "label.prior_variance_m2 9.0, and the parameters have 4.0"),
-        ({}, {"max_distance_m": 10.0}, "registration.max_distance_m 20.0, and the parameters have 10.0"),
+        ({}, {"dof": "xyyaw"}, "with registration.dof xy, and xyyaw is asked for"),
+        ({"copy": "split"}, {}, "with label.copy same, and split is asked for"),
+        ({"noise_sigma_m": 0.1}, {}, "with label.noise_sigma_m 0.2, and 0.1 is asked for"),
+        ({"prior_variance_m2": 4.0}, {}, "with label.prior_variance_m2 9.0, and 4.0 is asked for"),
+        ({}, {"max_distance_m": 10.0}, "with registration.max_distance_m 20.0, and 10.0 is asked for"),
     ],
 )
 def test_a_model_that_learned_another_q_is_refused(

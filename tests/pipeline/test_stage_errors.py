@@ -89,7 +89,7 @@ def test_a_survey_too_short_for_one_submap(short_survey: Path, tmp_path: Path):
 
 def test_a_kind_of_model_that_there_is_not(parameters: Path, tmp_path: Path):
     parameters.write_text(parameters.read_text().replace("kind: mean_field", "kind: foo"))
-    outs = [word for out in ("weights", "onnx", "card", "loss", "summary") for word in (f"--{out}", tmp_path / out)]
+    outs = [word for out in ("weights", "onnx", "loss", "summary") for word in (f"--{out}", tmp_path / out)]
     folders = ("--training", tmp_path, "--checkpoints", tmp_path)
     said = stage("train", "network", *folders, *outs, "--params", parameters)
     assert f"{parameters}: models.network.kind is 'foo', must be pointnetkl or mean_field" in said

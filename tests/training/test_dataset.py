@@ -10,7 +10,10 @@ from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import submap, voxel
 from pointnetkl.training import dataset
-from pointnetkl.workflow import artifacts
+from pointnetkl.workflow import artifacts, parameters
+from toy_submaps import LABEL, REGISTRATION
+
+MADE_WITH = {"label": parameters.as_metadata(LABEL), "registration": parameters.as_metadata(REGISTRATION)}
 
 
 def write(folder: Path, name: str, count: int = 20, edge: float = 0.01, first: int = 0) -> None:
@@ -23,7 +26,7 @@ def write(folder: Path, name: str, count: int = 20, edge: float = 0.01, first: i
     made = {"survey": name, "params": {"voxelise": {"seed": 0, "voxel": edge}}}
     artifacts.write_arrays(folder / name / "clouds.npz", voxel.Clouds.of(numbers, clouds).to_arrays(), made)
     labels = pd.DataFrame({"submap": numbers, "q_xx_m2": 2.0, "q_xy_m2": 0.1, "q_yy_m2": np.arange(count) + 1.0})
-    artifacts.write_table(folder / name / "labels.parquet", labels, dataset.LABEL, {})
+    artifacts.write_table(folder / name / "labels.parquet", labels, dataset.LABEL, MADE_WITH)
 
 
 @pytest.fixture
@@ -48,7 +51,7 @@ def test_surveys_are_joined_in_the_order_of_their_names(folder: Path):
 @pytest.mark.parametrize("file", ["clouds.npz", "labels.parquet"])
 def test_a_missing_file_is_named_with_the_command_that_makes_it(folder: Path, file: str):
     (folder / "shetland" / file).unlink()
-    with pytest.raises(dataset.DatasetError, match=rf"shetland/{file}: is missing.*dvc repro gather@shetland"):
+    with pytest.raises(dataset.DatasetError, match=rf"shetland/{file}: is missing.*run dvc repro"):
         dataset.read(folder, ["baltic", "shetland"])
 
 
@@ -121,3 +124,27 @@ def test_points_are_drawn_twice_only_where_there_are_too_few(folder: Path):
         assert {tuple(p) for p in drawn} <= {tuple(p) for p in cloud}
         assert len({tuple(p) for p in drawn}) <= distinct
     assert len({tuple(p) for p in points[1]}) == 35
+
+
+def relabel(folder: Path, metadata: dict[str, dict[str, object]]) -> None:
+    """Write a survey's labels anew, as if they were made with other parameters."""
+    labels = artifacts.read_table(folder / "labels.parquet", dataset.LABEL)
+    artifacts.write_table(folder / "labels.parquet", labels, dataset.LABEL, metadata)
+
+
+def test_the_labels_say_with_which_settings_they_were_made(folder: Path):
+    relabel(folder / "shetland", {**MADE_WITH, "label": {**MADE_WITH["label"], "seed": 9}})  # which changes no Q
+    assert dataset.made_with(folder, ["baltic", "shetland"]) == (LABEL, REGISTRATION)
+
+
+def test_labels_of_two_kinds_are_refused(folder: Path):
+    relabel(folder / "shetland", {**MADE_WITH, "label": {**MADE_WITH["label"], "noise_sigma_m": 0.4}})
+    said = r"shetland/labels\.parquet: was made with label\.noise_sigma_m 0\.4, but .*baltic/labels\.parquet with 0\.1"
+    with pytest.raises(dataset.DatasetError, match=said):
+        dataset.made_with(folder, ["baltic", "shetland"])
+
+
+def test_labels_of_unknown_settings_are_refused(folder: Path):
+    relabel(folder / "baltic", {})
+    with pytest.raises(parameters.SettingsError, match=r"baltic/labels\.parquet: does not say with which label"):
+        dataset.made_with(folder, ["baltic", "shetland"])

@@ -31,7 +31,7 @@ from toy_labels import until
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
 SMALL = network.Settings(scale_input=True, hidden_layers=2, hidden_width=64, dropout=0.1)
-QUICK = training.Settings(
+QUICK = training.CloudSettings(
     seed=3,
     device="cpu",
     threads=1,
@@ -66,7 +66,7 @@ def samples(count: int, seed: int = 0) -> Samples:
 
 
 def trained(
-    chosen: training.Settings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
+    chosen: training.CloudSettings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
 ) -> tuple[network.PointNetKL, training.Outcome]:
     device.prepare(chosen.seed, chosen.threads, CPU)
     model = network.PointNetKL(kind)
@@ -79,6 +79,18 @@ def trained(
 @pytest.fixture(scope="module")
 def model() -> network.PointNetKL:
     return trained(QUICK)[0]
+
+
+def test_settings_that_a_kind_of_model_does_not_use_are_refused(tmp_path: Path):
+    path = tmp_path / "params.yaml"
+    path.write_text(yaml.safe_dump({"train": parameters.as_metadata(QUICK)}))
+    assert parameters.read(path, "train", training.KINDS["pointnetkl"]) == QUICK
+    with pytest.raises(parameters.SettingsError, match=r"train\.\w+ is unknown"):
+        parameters.read(path, "train", training.KINDS["mean_field"])
+
+
+def test_every_kind_of_model_has_settings():
+    assert training.KINDS.keys() == model_file.KINDS.keys()
 
 
 def test_a_few_submaps_are_learned_by_heart():
@@ -329,7 +341,7 @@ def prepare_stage(folder: Path) -> list[str | Path]:
     chosen = {**parameters.as_metadata(QUICK), "steps": 40, "validate_every": 5}
     params["models"] = {"mine": {"kind": "pointnetkl", "network": small, "train": chosen}}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
-    made = {"weights": "m.pt", "onnx": "m.onnx", "card": "m.md", "loss": "loss.csv", "summary": "summary.json"}
+    made = {"weights": "m.pt", "onnx": "m.onnx", "loss": "loss.csv", "summary": "summary.json"}
     made["every-s"] = "0.4"
     command = [sys.executable, ROOT / "pipeline/train.py", "mine", "--params", "params.yaml"]
     command += ["--training", "training", "--checkpoints", "checkpoints"]
@@ -349,6 +361,9 @@ def test_the_stage_writes_a_model_its_losses_and_its_scores(whole: Path):
     summary = json.loads((whole / "summary.json").read_text())
     assert summary["submaps"] == {"training": 20, "validation": 4}
     assert (summary["floor_m2"], summary["steps"]) == (0.01, 40)
+    assert summary["model"]["kind"] == "pointnetkl"
+    assert summary["labels"]["submaps"] == {"baltic": 12, "shetland": 12}
+    assert summary["labels"]["label"]["noise_sigma_m"] == 0.1
     assert set(summary["kl"]) == set(summary["kl_floor0"]) == {"training", "validation"}
     losses = (whole / "loss.csv").read_text().splitlines()
     assert losses[0] == "step,training,validation"
@@ -369,5 +384,5 @@ def test_a_killed_stage_goes_on_and_makes_the_very_files_of_an_undisturbed_one(w
     resumed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert resumed.returncode == 0, resumed.stderr
     assert " 0/40" not in resumed.stderr
-    for file in ("m.pt", "m.onnx", "m.md", "loss.csv", "summary.json"):
+    for file in ("m.pt", "m.onnx", "loss.csv", "summary.json"):
         assert (tmp_path / file).read_bytes() == (whole / file).read_bytes(), file

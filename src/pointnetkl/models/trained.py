@@ -1,8 +1,9 @@
 """The covariance that a trained model predicts from the submap alone: PointNetKL, the paper's method, and `network`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,27 +52,32 @@ def inputs(stored: Stored, points: np.ndarray, origin: str) -> tuple[np.ndarray,
     return cloud.points[None], np.array([cloud.radius], np.float32)
 
 
+def differences(
+    metadata: Mapping[str, Any], label: monte_carlo.Settings, registration: gicp.Settings
+) -> Iterator[tuple[str, Any, Any]]:
+    """Yield each setting that decides Q and is another in metadata than in these settings: name, value there, here.
+
+    What the metadata do not say does not differ.
+    """
+    for section, settings in (("label", label), ("registration", registration)):
+        there, here = metadata.get(section, {}), parameters.as_metadata(settings)
+        for key in _DECIDE_LABELS if section == "label" else here:
+            if key in there and there[key] != here[key]:
+                yield f"{section}.{key}", there[key], here[key]
+
+
 def check(path: Path, stored: Stored, label: monte_carlo.Settings, registration: gicp.Settings) -> None:
     """Refuse a file's model that learned another Q than these settings have, as far as its file says.
 
     Raises:
         TrainedError: it has other dimensions, or its labels were made with other settings.
     """
-    if stored.model.settings.dimensions != registration.dimensions:
-        learned = "xyyaw" if stored.model.settings.dimensions == 3 else "xy"
+    dof = "xyyaw" if stored.model.settings.dimensions == 3 else "xy"
+    wrong = [("registration.dof", dof, registration.dof)] if dof != registration.dof else []
+    for setting, value, wanted in (*wrong, *differences(stored.metadata, label, registration)):
         raise TrainedError(
-            f"{path}: was trained for registration.dof {learned}, and the parameters have {registration.dof};"
-            f" run dvc repro train@{path.stem}"
+            f"{path}: was trained with {setting} {value}, and {wanted} is asked for; run dvc repro train@{path.stem}"
         )
-    sections = {"label": parameters.as_metadata(label), "registration": parameters.as_metadata(registration)}
-    for section, now in sections.items():
-        then = stored.metadata.get(section, {})
-        for key in _DECIDE_LABELS if section == "label" else now:
-            if key in then and then[key] != now[key]:
-                raise TrainedError(
-                    f"{path}: was trained with {section}.{key} {then[key]}, and the parameters have {now[key]};"
-                    f" run dvc repro train@{path.stem}"
-                )
 
 
 def load_all(paths: Sequence[Path], label: monte_carlo.Settings, registration: gicp.Settings) -> list[Trained]:
@@ -80,11 +86,10 @@ def load_all(paths: Sequence[Path], label: monte_carlo.Settings, registration: g
     Raises:
         ModelFileError, TrainedError: as load and check.
     """
-    given = [path for path in paths if not (path.is_file() and artifacts.is_none(path))]
-    models = [load(path) for path in given]
-    for path, each in zip(given, models, strict=True):
-        check(path, each.stored, label, registration)
-    return models
+    models = {path: load(path) for path in paths if not (path.is_file() and artifacts.is_none(path))}
+    for path, loaded in models.items():
+        check(path, loaded.stored, label, registration)
+    return list(models.values())
 
 
 def load(path: Path) -> Trained:

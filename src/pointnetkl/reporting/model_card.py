@@ -1,14 +1,14 @@
-"""The page beside a model's weights: what it was made from, how good it is, what it is for and where it ends."""
+"""A model's card: what the model was made from, how good it is, what it is for and where it ends."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from pointnetkl.models.model import Model
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.workflow import artifacts
+from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import StudySurvey
 
-_TAKES = {
+_INPUTS = {
     "pointnetkl": (
         "`points` (clouds, points, 3), float32: zero mean, scaled to a largest norm of 1, one mean point a voxel of"
         " {voxel:g}; `radius` (clouds,), float32: the largest norm before, in metres"
@@ -19,9 +19,7 @@ _TAKES = {
         " physics are not in the ONNX file"
     ),
 }
-
-
-_CHOSEN = {
+_CHOICE = {
     "pointnetkl": "It is the paper's.",
     "mean_field": "Why this kind, and which of its numbers were chosen with those surveys in sight: `docs/network.md`.",
 }
@@ -32,47 +30,64 @@ _LIMITS = {
         "  `split` it is too confident wherever points alone hold a copy.\n"
     ),
 }
+_NEEDED = ("model", "labels", "kl", "kl_floor0", "submaps", "floor_m2", "flagged")  # of a summary
 
 
-@dataclass(frozen=True)
-class Origin:
-    """What a model was made from."""
-
-    surveys: Mapping[str, StudySurvey]
-    submaps: Mapping[str, int]  # by survey, those validated on included
-    label: monte_carlo.Settings
-    registration: gicp.Settings
+class ModelCardError(PointNetKLError):
+    """A training's summary does not say what the card tells."""
 
 
-def text(name: str, kind: str, model: Model, voxel: float, origin: Origin, summary: Mapping[str, Any]) -> str:
-    """Return the page, in Markdown; `summary` is the training's own, with its mean KL in nats."""
-    units = "m²" if model.settings.dimensions == 2 else "m², m rad and rad²"
+def read(path: Path) -> dict[str, Any]:
+    """Read what stage train says of a model in its summary.
+
+    Raises:
+        ModelCardError: the summary lacks a part.
+        ArtifactError: the file is missing or damaged.
+    """
+    summary = artifacts.read_json(path)
+    if missing := [key for key in _NEEDED if key not in summary]:
+        raise ModelCardError(f"{path}: has no {missing[0]}; run dvc repro train@{path.stem}")
+    return summary
+
+
+def text(name: str, summary: Mapping[str, Any], surveys: Mapping[str, StudySurvey]) -> str:
+    """Return the card of a model, in Markdown, from its training's summary and the lines of its training surveys.
+
+    Raises:
+        ModelCardError: the model was trained on other surveys.
+    """
+    if set(surveys) != set(summary["labels"]["submaps"]):
+        trained = ", ".join(summary["labels"]["submaps"])
+        raise ModelCardError(f"{name}: was trained on {trained}, unlike study.train; run dvc repro train@{name}")
+    model = summary["model"]
+    kind, dimensions = model["kind"], model["dimensions"]
+    units = "m²" if dimensions == 2 else "m², m rad and rad²"
     return f"""# {name}
 
 The covariance Q of a submap's registration by GICP, from its points alone: for the weight of a loop closure.
-Trained by `dvc repro train@{name}`; this page is written with the weights.
+Trained by `dvc repro train@{name}`; stage `report` writes this page.
 
 | | |
 |---|---|
-| kind | `{kind}`, {_weights(model)} weights |
+| kind | `{kind}`, {model["weights"]} weights |
 | in | a submap's points (n, 3), metres, z up, in any frame with these axes |
-| out | Q ({model.settings.dimensions}, {model.settings.dimensions}), {units}, in the points' frame |
+| out | Q ({dimensions}, {dimensions}), {units}, in the points' frame |
 | use | `CovarianceEstimator.load("{name}.pt").predict(points)`, or `python -m pointnetkl predict` |
-| ONNX in | {_TAKES[kind].format(voxel=voxel)} |
-| ONNX out | `covariance` (clouds, {model.settings.dimensions}, {model.settings.dimensions}) |
+| ONNX in | {_INPUTS[kind].format(voxel=model["voxel"])} |
+| ONNX out | `covariance` (clouds, {dimensions}, {dimensions}) |
 
 ## Trained on
 
-{_surveys(origin)}
+{_surveys(surveys, summary["labels"]["submaps"])}
 
-`reports/tables/table_1.md` says which surveys are simulated. {_labels(origin)}
+`reports/tables/table_1.md` says which surveys are simulated. {_labels(summary["labels"])}
 
 ## How good
 
 {_measures(summary)}
 
 Validation submaps are neighbours of training ones. What counts is unseen surveys: `reports/tables/kl.csv` and
-`calibration.csv` have them, beside the other methods. {_CHOSEN[kind]}
+`calibration.csv` have them, beside the other methods. {_CHOICE[kind]}
 
 ## Limits
 
@@ -88,11 +103,11 @@ Validation submaps are neighbours of training ones. What counts is unseen survey
 """
 
 
-def _surveys(origin: Origin) -> str:
+def _surveys(surveys: Mapping[str, StudySurvey], submaps: Mapping[str, int]) -> str:
     rows = [
-        f"| {name} | `{line.raw}` | {origin.submaps[name]} | {line.submap_length_m:g} | {line.point_spacing_m:g}"
+        f"| {name} | `{line.raw}` | {submaps[name]} | {line.submap_length_m:g} | {line.point_spacing_m:g}"
         f" | {line.label_runs} |"
-        for name, line in origin.surveys.items()
+        for name, line in surveys.items()
     ]
     head = [
         "| survey | raw pings | submaps | their length, m | point spacing, m | runs a label |",
@@ -101,14 +116,14 @@ def _surveys(origin: Origin) -> str:
     return "\n".join([*head, *rows])
 
 
-def _labels(origin: Origin) -> str:
-    label, registration = origin.label, origin.registration
-    yaw = "" if registration.dof == "xy" else f", yaw from N(0, ({label.prior_yaw_sigma_rad:g} rad)²)"
-    copy = "a copy of the submap" if label.copy == "same" else "one half of the submap's pings onto the other"
+def _labels(labels: Mapping[str, Any]) -> str:
+    label, registration = labels["label"], labels["registration"]
+    yaw = "" if registration["dof"] == "xy" else f", yaw from N(0, ({label['prior_yaw_sigma_rad']:g} rad)²)"
+    copy = "a copy of the submap" if label["copy"] == "same" else "one half of the submap's pings onto the other"
     return (
         f"A label is the mean square error of so many registrations of {copy}, from starts drawn from"
-        f" N(0, {label.prior_variance_m2:g} m²) in x and y{yaw}, with noise of {label.noise_sigma_m:g} m on each"
-        f" coordinate; matches within {registration.max_distance_m:g} m."
+        f" N(0, {label['prior_variance_m2']:g} m²) in x and y{yaw}, with noise of {label['noise_sigma_m']:g} m on each"
+        f" coordinate; matches within {registration['max_distance_m']:g} m."
     )
 
 
@@ -126,7 +141,3 @@ def _measures(summary: Mapping[str, Any]) -> str:
 
 def _share(summary: Mapping[str, Any], part: str) -> str:
     return f"{100 * summary['flagged'][part]:.3g} %"
-
-
-def _weights(model: Model) -> int:
-    return sum(parameter.numel() for parameter in model.parameters())

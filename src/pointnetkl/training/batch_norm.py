@@ -9,7 +9,7 @@ from pointnetkl.models.samples import Samples
 
 
 def take_statistics(
-    model: Model, samples: Samples, parts: list[np.ndarray], points: int, rng: np.random.Generator
+    model: Model, samples: Samples, parts: list[np.ndarray], points: int | None, rng: np.random.Generator
 ) -> None:
     """Replace batch-norm statistics by the average over batches of submaps, and leave the model in evaluation mode.
 

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from pointnetkl.models import trained
 from pointnetkl.models.samples import Samples
+from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.surveys import submap, voxel
-from pointnetkl.workflow import artifacts, compute
+from pointnetkl.workflow import artifacts, compute, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 # Of a label's columns those that are learned: who trains need not import the registration behind the others.
@@ -42,7 +44,28 @@ def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
     return _join(parts), voxels[0]
 
 
-def described(folder: Path, samples: Samples, describe: Callable[[np.ndarray], np.ndarray]) -> Samples:
+def made_with(folder: Path, surveys: Sequence[str]) -> tuple[monte_carlo.Settings, gicp.Settings]:
+    """Return the sections `label` and `registration` of the parameters that made the training labels.
+
+    Raises:
+        SettingsError: a survey's labels do not say it.
+        DatasetError: the labels of two surveys are of different covariances.
+        ArtifactError: a survey's labels are missing or damaged.
+    """
+    paths = [folder / name / "labels.parquet" for name in surveys]
+    first, *others = (artifacts.table_metadata(path) for path in paths)
+    label = parameters.from_metadata(first, "label", monte_carlo.Settings, paths[0])
+    registration = parameters.from_metadata(first, "registration", gicp.Settings, paths[0])
+    for path, metadata in zip(paths[1:], others, strict=True):
+        for setting, value, value_of_first in trained.differences(metadata, label, registration):
+            raise DatasetError(
+                f"{path}: was made with {setting} {value}, but {paths[0]} with {value_of_first};"
+                " run dvc repro, which labels both alike"
+            )
+    return label, registration
+
+
+def with_descriptions(folder: Path, samples: Samples, describe: Callable[[np.ndarray], np.ndarray]) -> Samples:
     """Return samples with what `describe` says of each submap's own points (n, 3), metres, in its frame.
 
     Raises:
@@ -78,14 +101,14 @@ def _read_survey(folder: Path, name: str) -> tuple[Samples, float]:
     clouds_path, labels_path = folder / "clouds.npz", folder / "labels.parquet"
     for path in (clouds_path, labels_path):
         if not path.exists():
-            raise DatasetError(f"{path}: is missing, but study.train names {name}; run dvc repro gather@{name}")
+            raise DatasetError(f"{path}: is missing, but study.train names {name}; run dvc repro")
     arrays, metadata = artifacts.read_arrays(clouds_path)
     clouds = voxel.Clouds.from_arrays(arrays, str(clouds_path))
     labels = artifacts.read_table(labels_path, LABEL, also=table.YAW)
     if clouds.submap.tolist() != labels["submap"].tolist():
         raise DatasetError(
             f"{folder}: clouds.npz has {len(clouds)} submaps, not those of the {len(labels)} labels in"
-            f" labels.parquet; run dvc repro gather@{name}"
+            f" labels.parquet; run dvc repro"
         )
     covariances = table.to_matrices(labels)
     for number, q in zip(clouds.submap, covariances, strict=True):
@@ -116,7 +139,7 @@ def _points(folder: Path, name: str, numbers: np.ndarray) -> list[np.ndarray]:
     path = folder / "submaps.parquet"
     submaps = submap.from_table(name, artifacts.read_table(path, submap.POINTS))
     if [s.number for s in submaps] != numbers.tolist():
-        raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro gather@{name}")
+        raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro")
     return [s.points for s in submaps]
 
 

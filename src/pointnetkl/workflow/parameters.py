@@ -4,6 +4,7 @@ import dataclasses
 import math
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,6 +41,17 @@ def read(path: Path, section: str, kind: type[T]) -> T:
 def as_metadata(settings: object) -> dict[str, Any]:
     """Return a settings dataclass as plain values, for an artifact's metadata."""
     return dataclasses.asdict(settings)  # type: ignore[call-overload]
+
+
+def from_metadata(metadata: Mapping[str, Any], section: str, kind: type[T], origin: Path) -> T:
+    """Return the section of an artifact's metadata, as `as_metadata` gave it, as the dataclass `kind`.
+
+    Raises:
+        SettingsError: the metadata lacks the section, or the section is not what `kind` can hold.
+    """
+    if section not in metadata:
+        raise SettingsError(f"{origin}: does not say with which {section} it was made; run its stage again (dvc repro)")
+    return typing.cast(T, _convert(metadata[section], kind, f"{origin}: {section}"))
 
 
 def require_positive(settings: object, *names: str) -> None:

@@ -8,9 +8,10 @@ from typing import Any, Protocol
 
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import calibrated, cello, constant, fitting, structure_tensor
+from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.method import Method
-from pointnetkl.workflow import artifacts
+from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.parameters import require_seed
 
 
@@ -53,53 +54,51 @@ class Fits:
 
     fits: dict[str, fitting.Fit]
     submaps: int
+    label: monte_carlo.Settings  # of the training labels, as is the next
+    registration: gicp.Settings
 
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> Fits:
     """Return every method's fit to the training labels."""
     fits = {name: learner.fit(training, settings) for name, learner in LEARNERS.items()}
-    return Fits(fits, len(training.submaps))
+    return Fits(fits, len(training.submaps), training.how.label, training.how.registration)
 
 
-def methods(fits: Fits, how: SelfRegistration) -> list[Method]:
-    """Return the methods that the fits define."""
+def methods(fits: Fits, seed: int) -> list[Method]:
+    """Return the methods that the fits define; closed forms draw the noise of their copies from the seed."""
+    how = SelfRegistration(seed, fits.label, fits.registration)
     return [learner.from_fit(name, fits.fits[name], how) for name, learner in LEARNERS.items()]
 
 
-def write(path: Path, fits: Fits, parameters: Mapping[str, Any]) -> None:
+def write(path: Path, fits: Fits, made_with: Mapping[str, Any]) -> None:
     """Write fits as JSON, with the parameters that made them; a line for each row that a method remembers."""
-    entries = {name: _entry(each) for name, each in fits.fits.items()}
-    artifacts.write_json(path, {**entries, "submaps": fits.submaps, "params": parameters})
+    entries = {name: _entry(fit) for name, fit in fits.fits.items()}
+    sections = {"label": fits.label, "registration": fits.registration}
+    params = {**made_with, **{name: parameters.as_metadata(settings) for name, settings in sections.items()}}
+    artifacts.write_json(path, {**entries, "submaps": fits.submaps, "params": params})
 
 
-def read(path: Path, dimensions: int) -> Fits:
-    """Read fits of covariances (M, M).
+def read(path: Path) -> Fits:
+    """Read fits, and the settings of the labels that they are fitted to.
 
     Raises:
         ArtifactError: the file is missing or is not JSON.
-        FittingError: the fits are of another registration.dof; or a method or one of its numbers is missing, or is
-            not a finite number.
+        FittingError: a method or one of its numbers is missing, or is not a finite number.
+        SettingsError: the file does not say which labels the methods were fitted to.
     """
     content = artifacts.read_json(path)
-    _check_dof(path, content.get("params"), "xyyaw" if dimensions == 3 else "xy")
-    fits = {name: _read_fit(path, name, content, dimensions) for name in LEARNERS}
+    made_with = content.get("params", {})
+    label = parameters.from_metadata(made_with, "label", monte_carlo.Settings, path)
+    registration = parameters.from_metadata(made_with, "registration", gicp.Settings, path)
+    fits = {name: _read_fit(path, name, content, registration.dimensions) for name in LEARNERS}
     if not isinstance(submaps := content.get("submaps"), int):
         raise fitting.FittingError(f"{path}: lacks the number of submaps; run dvc repro fit")
-    return Fits(fits, submaps)
+    return Fits(fits, submaps, label, registration)
 
 
 def _entry(fit: fitting.Fit) -> dict[str, Any]:
     rows = [" ".join(f"{number:.6g}" for number in row) for row in fit.rows]
     return {**fit.numbers, "mean_kl": fit.mean_kl} | ({"rows": rows} if rows else {})
-
-
-def _check_dof(path: Path, parameters: Any, wanted: str) -> None:
-    registration = parameters.get("registration") if isinstance(parameters, dict) else None
-    fitted = registration.get("dof", wanted) if isinstance(registration, dict) else wanted
-    if fitted != wanted:
-        raise fitting.FittingError(
-            f"{path}: its fits are of registration.dof {fitted}, and the parameters have {wanted}; run dvc repro fit"
-        )
 
 
 def _read_fit(path: Path, name: str, content: Mapping[str, Any], dimensions: int) -> fitting.Fit:
