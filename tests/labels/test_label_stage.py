@@ -151,11 +151,11 @@ def test_what_a_lost_dask_worker_had_is_done_by_others(undisturbed: Path, survey
 
 
 def test_a_cluster_with_another_version_is_refused(survey: Path, dask: LocalDask, tmp_path_factory):
-    # the stage runs from a copy of this package that has another comment in its kernel
+    # the stage runs from a copy of this package that has another statement in what decides a label
     other = tmp_path_factory.mktemp("other")
     shutil.copytree(toy_labels.ROOT / "src/pointnetkl", other / "pointnetkl")
-    with (other / "pointnetkl/monte_carlo.py").open("a") as file:
-        file.write("# another\n")
+    with (other / "pointnetkl/registration/monte_carlo.py").open("a") as file:
+        file.write("CHANGED = 1\n")
     assert "another version of pointnetkl" in fail(survey, PYTHONPATH=str(other), **cluster(dask))
     assert not intact(survey)
 

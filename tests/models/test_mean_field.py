@@ -193,7 +193,7 @@ def test_threads_and_repeated_calls_give_the_same_bytes():
 
 SLOPES = """
 import numpy as np
-from pointnetkl.mean_field import forces, raster
+from pointnetkl.models.mean_field import forces, ground
 {before}
 rng = np.random.default_rng(0)
 fields = (rng.random((4, 60, 90)).astype(np.float32) for _ in range(3))
@@ -210,7 +210,7 @@ def test_the_only_reordered_sums_are_the_same_whoever_compiled_them_and_after_wh
     compiled = sums("one")
     assert list((tmp_path / "one").rglob("*.nbc"))
     assert sums("one") == compiled
-    assert sums("two", before="raster.spacing(np.eye(9, 3))") == compiled
+    assert sums("two", before="ground.spacing(np.eye(9, 3))") == compiled
 
 
 @pytest.mark.parametrize("spacing_m", [2.2, 3.0])

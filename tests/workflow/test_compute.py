@@ -85,7 +85,7 @@ def test_one_worker_is_this_process_and_more_are_others(monkeypatch: pytest.Monk
 
 
 def test_dask_is_imported_for_a_cluster_only():
-    code = "import sys; from pointnetkl import compute; assert not {'dask', 'distributed', 'tornado'} & {*sys.modules}"
+    code = "import sys; from pointnetkl.workflow import compute; assert not {'dask', 'distributed', 'tornado'} & {*sys.modules}"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -107,7 +107,7 @@ def test_a_worker_that_is_killed_ends_the_work_in_a_sentence(monkeypatch: pytest
 
 
 def test_workers_end_when_their_parent_is_killed():
-    code = "import time; from pointnetkl import compute; compute.over(time.sleep, [600.0] * 2, 'sleep')"
+    code = "import time; from pointnetkl.workflow import compute; compute.over(time.sleep, [600.0] * 2, 'sleep')"
     parent = subprocess.Popen(
         [sys.executable, "-c", code], env=os.environ | {"POINTNETKL_WORKERS": "2"}, stderr=subprocess.DEVNULL
     )
