@@ -1,4 +1,4 @@
-"""`python -m pointnetkl`: what raw files hold, a trained model on submaps in files, and pose graphs in and out."""
+"""Inspect raw files, apply a trained model to submaps in files, and exchange pose graphs with other programs."""
 
 import argparse
 import importlib
@@ -19,7 +19,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130  # as a shell counts it
+        return 130  # what a shell gives for an interrupt
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""A trained model for use on board: a submap's raw points in, the covariance of its registration out."""
+"""A trained model for use on board: it takes a submap's points and returns the covariance of its registration."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,25 +11,25 @@ from pointnetkl.models.model_file import Stored
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.workflow.errors import PointNetKLError
 
-FEWEST = 20  # points: a registration takes a plane from as many
-_APART = 10.0  # a point so many times as far out as the others is no part of their submap
-_COARSEST_M = 0.01  # between a coordinate and the next one that its type has
+FEWEST = 20  # points; a registration fits a plane to as many neighbours
+_APART = 10.0  # a point this many times as far out as the average is an outlier
+_COARSEST_M = 0.01  # largest step between neighbouring float32 coordinates
 
 
 class EstimatorError(PointNetKLError):
-    """Points are no submap."""
+    """Points do not make a submap."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model says of one submap."""
+    """A model's answer for one submap."""
 
     covariance: np.ndarray  # (M, M): m^2; with yaw (M = 3) m rad and rad^2
-    novelty: float | None  # distance to the training submaps, 1 at the limit; None: the model's file does not say
+    novelty: float | None  # distance to the training submaps, 1 at the limit; None if the model's file does not have it
 
     @property
     def is_novel(self) -> bool:
-        """Whether the submap is unlike those that the model was trained on: its covariance is then a guess."""
+        """Return whether the submap is unlike the training submaps, so that its covariance is a guess."""
         return self.novelty is not None and self.novelty > 1
 
 
@@ -37,12 +37,12 @@ class CovarianceEstimator:
     """Covariances by a model of any kind. The first call compiles kernels, some seconds; the next take milliseconds."""
 
     def __init__(self, stored: Stored) -> None:
-        """Take what a model's file holds."""
+        """Take the content of a model's file."""
         self._stored = stored
 
     @classmethod
     def load(cls, path: str | Path) -> "CovarianceEstimator":
-        """Read a model's file (.pt), and give torch one thread, which is the fastest for one submap.
+        """Read a model's file (.pt), and set torch to one thread, which is the fastest for one submap.
 
         Nothing in the file is executed.
 
@@ -50,29 +50,29 @@ class CovarianceEstimator:
             ModelFileError: the file is missing, damaged or holds something else.
         """
         stored = model_file.read(Path(path))
-        torch.set_num_threads(1)  # more would take longer to meet than to add
+        torch.set_num_threads(1)  # with more threads, waiting takes longer than the sums
         return cls(stored)
 
     def predict(self, points: np.ndarray) -> np.ndarray:
         """Return Q of the registration's error, (2, 2) in m^2, of a submap's points (n, 3) in metres, z up.
 
-        Q has the axes of the points' own frame, wherever its origin lies. A model of x, y and yaw gives (3, 3), with
-        m rad and rad^2.
+        Q has the axes of the points' own frame; the origin does not matter. A model of x, y and yaw returns (3, 3),
+        with m rad and rad^2.
 
         Raises:
-            EstimatorError: the points are too few, no numbers, without an area, or too coarsely rounded.
-            CovarianceError: the model finds no covariance for such a submap.
+            EstimatorError: the points are too few, not finite, without an area, or too coarsely rounded.
+            CovarianceError: the model's answer is not a covariance.
         """
         return self._covariance(_centred(points))
 
     def judge(self, points: np.ndarray) -> Prediction:
-        """Return Q as `predict` does, and how unlike the training submaps the submap is.
+        """Return Q as `predict` does, and the submap's novelty.
 
         Raises:
             EstimatorError, CovarianceError: as `predict`.
         """
-        centred, known = _centred(points), self._stored.known
-        return Prediction(self._covariance(centred), known.novelty(centred) if known else None)
+        centred, training = _centred(points), self._stored.known
+        return Prediction(self._covariance(centred), training.novelty(centred) if training else None)
 
     def _covariance(self, centred: np.ndarray) -> np.ndarray:
         origin = f"a submap of {len(centred)} points"
@@ -81,15 +81,15 @@ class CovarianceEstimator:
 
 
 def _centred(points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) about their mean, float64, if they are a submap."""
-    given = np.asarray(points)
-    if given.ndim != 2 or given.shape[1] != 3 or given.dtype.kind not in "fiu":
+    """Return points (n, 3) about their mean, float64, if they make a submap."""
+    array = np.asarray(points)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
         raise EstimatorError(
-            f"points are {given.dtype} of shape {given.shape}, must be (n, 3) numbers: x, y, z, metres"
+            f"points are {array.dtype} of shape {array.shape}, must be (n, 3) numbers: x, y, z, metres"
         )
-    if len(given) < FEWEST:
-        raise EstimatorError(f"a submap of {len(given)} points cannot be registered, {FEWEST} are the least")
-    exact = given.astype(np.float64)
+    if len(array) < FEWEST:
+        raise EstimatorError(f"a submap of {len(array)} points cannot be registered, {FEWEST} are the least")
+    exact = array.astype(np.float64)
     if not np.isfinite(exact).all():
         wrong = int((~np.isfinite(exact)).any(axis=1).sum())
         raise EstimatorError(f"{wrong} of {len(exact)} points have a coordinate that is no number; drop them")

@@ -127,7 +127,7 @@ def test_a_robust_solver_names_the_loop_closures_that_it_does_not_believe(
     status, out, _ = told(capsys, "solve", tmp_path / "a.g2o", *given)
     ends = (graph.number[nodes[wrong]] for nodes in (graph.edges.target, graph.edges.source))
     assert status == 0
-    assert "gnc: 1 of 22 loop closures not believed: {}-{}".format(*ends) in out
+    assert "gnc: 1 of 22 loop closures not accepted: {}-{}".format(*ends) in out
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Command `inspect`: what raw files hold."""
+"""Command `inspect`: describes raw files."""
 
 import argparse
 import json
@@ -10,17 +10,17 @@ from pointnetkl.commands import shared
 from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
-What raw files of bathymetry hold: format, sonar, time, pings, soundings, track, depths, place, and what was left out
-and why. Nothing needs to be set up for it: it is the first thing to try on files of your own.
+Describe raw files of bathymetry: format, sonar, time, pings, soundings, track, depths, place, and what the reader left
+out and why. It needs no set-up: try it first on files of your own.
 
-A file is read whole, by the readers of stage `ingest`, in little memory however large it is. Formats are known by the
-content, then by the name:
+A file is read as a whole, by the readers of stage `ingest`, in little memory however large it is. Formats are
+recognised by the content, else by the name:
   pings       Kongsberg .all, Kongsberg .kmall, GSF, XTF, generic pings (Parquet, CSV)
   points      LAS/LAZ, XYZ
   submaps     PCD with the pose in VIEWPOINT
   grids       GeoTIFF, BAG: to simulate surveys over
   navigation  SBET
-Of a folder every such file is told, and what else stands in it is passed over.
+In a folder every such file is described, and other files are ignored.
 """
 _EPILOG = """\
 examples:
@@ -28,25 +28,26 @@ examples:
   python -m pointnetkl inspect survey/ --plot survey_plots
   python -m pointnetkl inspect *.gsf --json > lines.json
 
-A valid sounding is one that neither the sonar nor its operator rejected, and that has a place and a depth that can be.
-Depths are positive below what `vertical` says; of pings the range is that of 98 % of the valid soundings, because a
-single wrong one would set it otherwise (`depth_extremes_m` has all). JSON is a list with an object for each file; null
-stands where there is no number, lengths are metres, times UTC. `pings` could be read, `pings_used` of them have a time
-and a place.
+A sounding is valid if neither the sonar nor its operator rejected it, and if its place and depth are possible. Depths
+are positive below the level that `vertical` names. For pings the range of depths holds 98 % of the valid soundings,
+because a single wrong one would otherwise set it; `depth_extremes_m` has the extremes. The JSON is a list with an
+object for each file: null where there is no number, lengths in metres, times in UTC. `pings` is the number that could
+be read, `pings_used` the number of those with a time and a place.
 
-While a file is read its soundings stand on disk, 29 bytes each, in the folder for temporary files: where that is
-small, or memory, let TMPDIR name another.
+While a file is read, its soundings are kept on disk, 29 bytes each, in the folder for temporary files. If that folder
+is small or in memory, set TMPDIR to another.
 
-A file that cannot be used is named on stderr, and has an `error` in the JSON; the others are told, and the exit status
-is 1. A file without pings, as one of positions only, is no error: `pings` is 0, and `problems` says what was found.
+A file that cannot be used is reported on stderr and has an `error` in the JSON; the others are described, and the exit
+status is 1. A file without pings, for example one of positions only, is no error: `pings` is 0, and `problems` says
+what the file has.
 """
 
 
 def add(commands: Any) -> None:
-    """Add the command's words."""
-    command = shared.parser(commands, "inspect", "what raw files of bathymetry hold", _DESCRIPTION, _EPILOG)
+    """Add the command's parser."""
+    command = shared.parser(commands, "inspect", "describe raw files of bathymetry", _DESCRIPTION, _EPILOG)
     command.add_argument("files", type=Path, nargs="*", metavar="FILE", help="raw files, or folders of them")
-    command.add_argument("--json", action="store_true", help="a JSON list with an object for each file")
+    command.add_argument("--json", action="store_true", help="print a JSON list with an object for each file")
     command.add_argument(
         "--plot",
         type=Path,
@@ -54,7 +55,7 @@ def add(commands: Any) -> None:
         const=Path(),
         metavar="FOLDER",
         help="save a map and a view of the swaths of each file there, as NAME_map.png and NAME_swath.png"
-        " (default: where you are)",
+        " (default: the current folder)",
     )
     command.add_argument(
         "--zone",
@@ -66,35 +67,35 @@ def add(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Tell of each file; return 1 if one of them cannot be used."""
-    # about a second, which --help need not take
+    """Describe each file; return 1 if one of them cannot be used."""
+    # these imports take a second, and --help does not need them
     from pointnetkl.inspection import choice, text
 
-    paths, folder = _given(arguments)
-    how = _settings(arguments.zone)
-    files, told = choice.files(paths), []
+    paths, folder = _paths(arguments)
+    settings = _settings(arguments.zone)
+    files, every = choice.files(paths), []
     names = choice.names(files)
     for file in files:
-        facts = _facts(file, how, folder, names[file])
+        facts = _facts(file, settings, folder, names[file])
         if not arguments.json and facts.pings is not None:
             print(text.block(facts) + "\n", flush=True)
         if facts.error is not None:
             print(f"error: {facts.error}", file=sys.stderr)
-        told.append(facts)
+        every.append(facts)
     if arguments.json:
-        print(json.dumps([facts.as_json() for facts in told], indent=2, allow_nan=False))
-    elif len(told) > 1:
-        print(text.total(told))
-    return int(any(facts.error is not None for facts in told))
+        print(json.dumps([facts.as_json() for facts in every], indent=2, allow_nan=False))
+    elif len(every) > 1:
+        print(text.total(every))
+    return int(any(facts.error is not None for facts in every))
 
 
-def _given(arguments: argparse.Namespace) -> tuple[list[Path], Path | None]:
-    """Return the files to tell of, and the folder for plots; `--plot FILE` has the file for a folder."""
+def _paths(arguments: argparse.Namespace) -> tuple[list[Path], Path | None]:
+    """Return the files to describe, and the folder for plots; argparse takes FILE in `--plot FILE` for the folder."""
     files, folder = arguments.files, arguments.plot
     if folder is not None and (folder.is_file() or not files) and folder != Path():
         files, folder = [folder, *files], Path()
     if not files:
-        raise shared.CommandError("no file is given; `inspect --help` has examples")
+        raise shared.CommandError("no file is given; see the examples of `inspect --help`")
     return files, folder
 
 
@@ -107,16 +108,16 @@ def _settings(zone: str) -> Any:
         raise shared.CommandError(f"--zone: {error}") from error
 
 
-def _facts(file: Path, how: Any, folder: Path | None, name: str) -> Any:
+def _facts(file: Path, settings: Any, folder: Path | None, name: str) -> Any:
     from pointnetkl.inspection import choice
     from pointnetkl.inspection.facts import Facts
 
     try:
-        found = choice.look(file, how)
+        inspected = choice.look(file, settings)
         if folder is None:
-            return found.facts
-        from pointnetkl.inspection import plots  # matplotlib: a second
+            return inspected.facts
+        from pointnetkl.inspection import plots  # matplotlib takes a second to import
 
-        return plots.save(found, folder, name)
+        return plots.save(inspected, folder, name)
     except PointNetKLError as error:
         return Facts(str(file), format=choice.format_name(file), error=str(error))

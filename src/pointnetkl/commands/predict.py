@@ -1,4 +1,4 @@
-"""Command `predict`: what a trained model says of submaps in files."""
+"""Command `predict`: covariances of submaps in files, by a trained model."""
 
 import argparse
 import json
@@ -10,36 +10,42 @@ from pointnetkl.commands import shared
 from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
-Covariance of the registration (GICP) of each submap, by a trained model.
+Print the covariance Q of each submap's registration (GICP), by a trained model.
 
-A file holds one submap of bathymetry, metres, z up, thinned as those that the model was trained on:
+A file holds one submap of bathymetry in metres, z up, thinned like the submaps that the model was trained on:
   PCD   ascii, binary or compressed; VIEWPOINT is not applied
   PLY   ascii or binary; the vertices
   NPZ   an array `points` (n, 3)
-  text  x, y, z in the first three columns, between commas or blanks; # and // begin comments
-Files are known by their content, whatever their name. Q has the axes of the file's own frame.
+  text  x, y, z in the first three columns, separated by commas or blanks; # and // begin comments
+The format is recognised by the content, whatever the name. Q has the axes of the file's own frame.
 """
 _EPILOG = """\
-columns: points; major_m and minor_m, standard deviations along the axes of Q's ellipse; angle_deg, of the major axis
-from x towards y; Q's entries, in m^2 (and m rad, rad^2 for a model with yaw); novelty, the distance to the training
-submaps, 1 at the limit; far, whether it is beyond: the covariance is then a guess (- where the model does not say).
+columns:
+  points            number of points
+  major_m, minor_m  standard deviations along the axes of Q's ellipse
+  angle_deg         angle of the major axis, from x towards y
+  q_...             entries of Q, in m^2 (with yaw also m rad and rad^2)
+  novelty           distance to the training submaps; 1 is the limit (- if the model's file does not have it)
+  far               whether the novelty is above 1: the covariance is then a guess
 
-A file that cannot be used is named on stderr; the others are printed, and the exit status is 1.
+A file that cannot be used is reported on stderr; the others are printed, and the exit status is 1.
 """
 
 
 def add(commands: Any) -> None:
-    """Add the command's words."""
-    command = shared.parser(commands, "predict", "the covariance of submaps in files", _DESCRIPTION, _EPILOG)
-    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, as models/network.pt")
+    """Add the command's parser."""
+    command = shared.parser(
+        commands, "predict", "print covariances of submaps in files, by a trained model", _DESCRIPTION, _EPILOG
+    )
+    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, such as models/network.pt")
     command.add_argument("submaps", type=Path, nargs="+", metavar="SUBMAP", help="files of one submap each")
-    command.add_argument("--json", action="store_true", help="a JSON list with an object for each file")
+    command.add_argument("--json", action="store_true", help="print a JSON list with an object for each file")
     command.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a row for each file; return 1 if one of them could not be used."""
-    # some seconds, which --help need not take
+    # these imports take seconds, and --help does not need them
     from pointnetkl import estimator
     from pointnetkl.readers.formats import clouds
 
@@ -57,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _numbers(prediction: Any) -> dict[str, Any]:
-    """Return a prediction as a row's numbers."""
+    """Return the numbers of a prediction's row."""
     from pointnetkl.registration.covariance import table
 
     q = prediction.covariance

@@ -1,4 +1,4 @@
-"""What several commands share: covariances from tables, Q as an ellipse, and rows as people read them."""
+"""Shared by commands: arguments, covariances from tables, Q as an ellipse, and rows as text."""
 
 import argparse
 import math
@@ -11,52 +11,55 @@ import numpy as np
 from pointnetkl.workflow.errors import PointNetKLError
 
 DIALECTS = """\
-dialects of a g2o file: gtsam, all in metres and radians, as GTSAM's reader and writer have it; g2o, g2o's own, where a
-rotation is the vector part of a quaternion (the rotation's block of the information times 4, its blocks with the
-translation times 2). A file begins with a comment that says which.
+dialects of a g2o file:
+  gtsam  metres and radians, as GTSAM reads and writes files
+  g2o    that of g2o itself, where the error of a rotation is the vector part of a quaternion: the information's block
+         of the rotation is 4 times that in radians, its blocks between rotation and translation 2 times
+The first line of a file that we write, a comment, states its dialect.
 """
 
 
 class CommandError(PointNetKLError):
-    """What a command was given does not go together."""
+    """The arguments of a command do not go together."""
 
 
-def parser(commands: Any, name: str, says: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """Return the parser of a new command, with the line breaks of its texts kept."""
-    made: argparse.ArgumentParser = commands.add_parser(
-        name, help=says, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+def parser(commands: Any, name: str, summary: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return the parser of a new command; the line breaks of its texts are kept."""
+    command: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    return made
+    return command
 
 
 def require_apart(*paths: Path | None) -> None:
-    """Refuse to write one file over another; None is no file.
+    """Refuse to write two files to one path; None stands for no file.
 
     Raises:
-        CommandError: two of the paths are one.
+        CommandError: two of the paths are the same.
     """
-    given = [path.resolve() for path in paths if path is not None]
-    if twice := [path for i, path in enumerate(given) if path in given[:i]]:
+    resolved = [path.resolve() for path in paths if path is not None]
+    if twice := [path for i, path in enumerate(resolved) if path in resolved[:i]]:
         raise CommandError(f"{twice[0]}: two files are to be written there; give each a name of its own")
 
 
 def covariances(
     paths: Sequence[Path], method: str, floor: float = 0.0, survey: str | None = None
 ) -> dict[int, np.ndarray]:
-    """Return a method's Q (M, M) by submap, of the tables that have it, with a floor, m^2, on each.
+    """Return a method's Q (M, M) by submap from tables, with a floor, m^2, added to each.
 
     Raises:
         CommandError: no table has the method, or the tables are of several surveys.
-        ArtifactError, CovarianceError, SlamError: a table is damaged or not of the survey, or has a Q that is none, or
-            one twice.
+        ArtifactError: a table is missing, damaged or of another survey.
+        CovarianceError: a Q is not a covariance.
+        SlamError: a submap has two covariances.
     """
     from pointnetkl.registration.covariance import table
     from pointnetkl.slam.benchmark import protocol
 
     named = ", ".join(map(str, paths))
     rows = table.read(paths, survey)
-    if method not in (known := sorted(set(rows["method"]))):
-        raise CommandError(f"{named}: has no method {method}, but {', '.join(known) or 'nothing'}")
+    if method not in (methods := sorted(set(rows["method"]))):
+        raise CommandError(f"{named}: has no method {method}, but {', '.join(methods) or 'nothing'}")
     rows = rows[rows["method"] == method]
     if len(surveys := sorted(set(rows["survey"]))) > 1:
         raise CommandError(f"{named}: has covariances of {', '.join(surveys)}; give tables of one survey")
@@ -64,7 +67,7 @@ def covariances(
 
 
 def ellipse(q: np.ndarray) -> tuple[float, float, float]:
-    """Return the standard deviations along the axes of Q (2, 2), the larger one first and its angle in (-90, 90]."""
+    """Return the standard deviations along Q's axes, Q (2, 2), the larger first, and its angle in (-90, 90] degrees."""
     largest = (q[0, 0] + q[1, 1]) / 2 + math.hypot((q[0, 0] - q[1, 1]) / 2, q[0, 1])
     smallest = (q[0, 0] * q[1, 1] - q[0, 1] ** 2) / largest
     angle = math.degrees(math.atan2(2 * q[0, 1], q[0, 0] - q[1, 1]) / 2)
@@ -72,7 +75,7 @@ def ellipse(q: np.ndarray) -> tuple[float, float, float]:
 
 
 def in_columns(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows under their names, numbers to the right; nothing where there is none."""
+    """Return rows as aligned text under the names of their columns; empty text without rows."""
     from pointnetkl.reporting import text_table
 
     if not rows:

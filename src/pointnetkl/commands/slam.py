@@ -1,4 +1,4 @@
-"""Command `slam`: submaps in files with their poses, registered to each other and optimised."""
+"""Command `slam`: registers submaps in files with poses to each other, and optimises their pose graph."""
 
 import argparse
 import dataclasses
@@ -12,82 +12,97 @@ from pointnetkl.commands import shared, solve
 from pointnetkl.workflow.errors import PointNetKLError
 
 _DESCRIPTION = """\
-The pose graph of submaps in PCD files with their poses, and its solution: the front end of the pipeline (Algorithm 1 of
-the paper), the covariances of a trained model, GTSAM.
+Build the pose graph of submaps in PCD files, and optimise it: with the pipeline's search for loop closures (Algorithm 1
+of the paper), the covariances of a trained model, and GTSAM.
 
-A file holds one submap, metres, z up, in the frame whose pose in the map its VIEWPOINT is (x y z qw qx qy qz); any name
-will do. Files are given in the order of the track (`ls -v` sorts numbers in names), and become vertices 0, 1, ... Roll
-and pitch of a pose go into the points, so that frames are level. A submap closes a loop where earlier ones, but for the
-one just before, cover enough of it (--coverage); it is registered to those in x and y (with registration.dof: xyyaw in
-yaw too), from where dead reckoning has it. Height and yaw of a loop closure are those of the poses given. Sections
-`graph` and `registration` of the parameters hold the rest; their unit of spacing is measured: the square of one point.
+A file holds one submap in metres, z up; its VIEWPOINT (x y z qw qx qy qz) is the pose of its frame in the map. The name
+does not matter. Give the files in the order of the track (`ls -v` sorts numbers in names); they become vertices 0, 1,
+and so on. Roll and pitch of a pose go into the points, so that frames are level.
+
+A submap closes a loop where earlier submaps, except the one just before, cover enough of it (--coverage). It is
+registered to those, starting at dead reckoning: in x and y, and with registration.dof: xyyaw also in yaw. The rest of a
+loop closure comes from the poses in the files. Sections `graph` and `registration` of the parameters have the other
+settings. Their unit, the spacing of points, is measured: the side of a square that holds one point.
 """
 _EPILOG = f"""\
-FOLDER gets graph.g2o, the solution with all edges, and trajectory.tum, in which a submap's number stands for its time.
+FOLDER gets graph.g2o, the solution with all edges, and trajectory.tum, with a submap's number as its time.
 
-columns: closures, the earlier submaps that it was registered to; moved_m, from the pose given to the solution; major_m
-and minor_m, standard deviations along the axes of Q's ellipse; novelty and far, how unlike the submaps that the model
-was trained on it is: beyond 1 Q is a guess.
+columns:
+  points            number of points
+  closures          number of earlier submaps that it was registered to
+  moved_m           distance from the pose in the file to the solution
+  major_m, minor_m  standard deviations along the axes of Q's ellipse
+  novelty           distance to the training submaps of the model; 1 is the limit
+  far               whether the novelty is above 1: Q is then a guess
 
 {shared.DIALECTS}"""
 
 
 def add(commands: Any) -> None:
-    """Add the command's words."""
-    command = shared.parser(commands, "slam", "submaps with poses, as an optimised graph", _DESCRIPTION, _EPILOG)
-    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, as models/network.pt")
+    """Add the command's parser."""
+    command = shared.parser(
+        commands, "slam", "build and optimise the pose graph of submaps in files", _DESCRIPTION, _EPILOG
+    )
+    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, such as models/network.pt")
     command.add_argument("submaps", type=Path, nargs="+", metavar="SUBMAP", help="PCD files, in the order of the track")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder to write to")
-    command.add_argument("--coverage", type=float, help="share that must be covered, instead of graph.coverage")
     command.add_argument(
-        "--edges", choices=("all", "shared"), default="all", help="as slam.edges (default: %(default)s)"
+        "--coverage", type=float, help="share of a submap that must be covered (default: graph.coverage)"
     )
-    command.add_argument("--dialect", choices=("g2o", "gtsam"), default="g2o", help="default: %(default)s")
-    command.add_argument("--params", type=Path, default=Path("params.yaml"), help="default: %(default)s")
+    command.add_argument(
+        "--edges",
+        choices=("all", "shared"),
+        default="all",
+        help="how to count edges, as slam.edges (default: %(default)s)",
+    )
+    command.add_argument(
+        "--dialect", choices=("g2o", "gtsam"), default="g2o", help="of graph.g2o (default: %(default)s)"
+    )
+    command.add_argument("--params", type=Path, default=Path("params.yaml"), help="parameters (default: %(default)s)")
     command.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the optimised graph; print a row for each submap."""
-    # some seconds, which --help need not take
+    # these imports take seconds, and --help does not need them
     from pointnetkl import estimator
     from pointnetkl.exchange import graph_solver, posed_submaps
     from pointnetkl.registration import gicp
     from pointnetkl.slam.closures import loop_closure
     from pointnetkl.workflow import parameters
 
-    how = _covered(parameters.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    settings = _with_coverage(parameters.read(arguments.params, "graph", loop_closure.Settings), arguments.coverage)
+    registration_settings = parameters.read(arguments.params, "registration", gicp.Settings)
     model = estimator.CovarianceEstimator.load(arguments.model)
     submaps, poses = posed_submaps.read(arguments.submaps)
-    judged = [_judge(model, path, s.points) for path, s in zip(arguments.submaps, submaps, strict=True)]
-    _require_dimensions(arguments, judged[0].covariance, registration)
-    q = {s.number: each.covariance for s, each in zip(submaps, judged, strict=True)}
-    graph, closures = posed_submaps.connect(submaps, poses, q, arguments.edges, how, registration)
+    predictions = [_predict(model, path, s.points) for path, s in zip(arguments.submaps, submaps, strict=True)]
+    _require_dimensions(arguments, predictions[0].covariance, registration_settings)
+    q = {s.number: prediction.covariance for s, prediction in zip(submaps, predictions, strict=True)}
+    graph, closures = posed_submaps.connect(submaps, poses, q, arguments.edges, settings, registration_settings)
     solved = graph_solver.solve(graph)
     solve.write(arguments.out / "graph.g2o", arguments.out / "trajectory.tum", graph, solved.poses, arguments.dialect)
     moved = np.linalg.norm((solved.poses - poses)[:, :3, 3], axis=1)
     targets = np.bincount(closures.edges.source, minlength=len(submaps))
-    columns = zip(arguments.submaps, submaps, judged, targets.tolist(), moved.tolist(), strict=True)
-    print(shared.in_columns([_row(*each) for each in columns]))
+    columns = (arguments.submaps, submaps, predictions, targets.tolist(), moved.tolist())
+    print(shared.in_columns([_row(*fields) for fields in zip(*columns, strict=True)]))
     print(
-        f"\n{len(submaps)} submaps, a point in each square of {posed_submaps.spacing(submaps):.3g} m;"
+        f"\n{len(submaps)} submaps, one point in a square of {posed_submaps.spacing(submaps):.3g} m;"
         f" registrations: {len(closures.node)}, loop closures: {len(closures.edges.source)};"
         f" chi2 {solved.chi2_before:.4g} before, {solved.chi2_after:.4g} after"
     )
-    _warn(judged, len(closures.node), how.coverage)
+    _warn(predictions, len(closures.node), settings.coverage)
     return 0
 
 
-def _covered(how: Any, coverage: float | None) -> Any:
-    """Return settings of the graph with another coverage."""
+def _with_coverage(settings: Any, coverage: float | None) -> Any:
+    """Return settings of the graph with another coverage, if one is given."""
     try:
-        return how if coverage is None else dataclasses.replace(how, coverage=coverage)
+        return settings if coverage is None else dataclasses.replace(settings, coverage=coverage)
     except ValueError as error:
         raise shared.CommandError(f"--{error}") from error
 
 
-def _judge(model: Any, path: Path, points: np.ndarray) -> Any:
+def _predict(model: Any, path: Path, points: np.ndarray) -> Any:
     try:
         return model.judge(points)
     except PointNetKLError as error:
@@ -102,8 +117,8 @@ def _require_dimensions(arguments: argparse.Namespace, q: np.ndarray, registrati
         )
 
 
-def _row(path: Path, submap: Any, judged: Any, closures: int, moved: float) -> dict[str, Any]:
-    major, minor, _ = shared.ellipse(judged.covariance[:2, :2])
+def _row(path: Path, submap: Any, prediction: Any, closures: int, moved: float) -> dict[str, Any]:
+    major, minor, _ = shared.ellipse(prediction.covariance[:2, :2])
     return {
         "file": path.name,
         "points": len(submap.points),
@@ -111,22 +126,22 @@ def _row(path: Path, submap: Any, judged: Any, closures: int, moved: float) -> d
         "moved_m": round(moved, 4),
         "major_m": major,
         "minor_m": minor,
-        "novelty": judged.novelty,
-        "far": None if judged.novelty is None else judged.is_novel,
+        "novelty": prediction.novelty,
+        "far": None if prediction.novelty is None else prediction.is_novel,
     }
 
 
-def _warn(judged: list[Any], registrations: int, coverage: float) -> None:
-    """Say on stderr what makes the answer worth little."""
+def _warn(predictions: list[Any], registrations: int, coverage: float) -> None:
+    """Print on stderr why the result may be of little use."""
     if not registrations:
         print(
             f"warning: no submap returns to ground of which earlier ones cover {coverage:g};"
-            " without loop closures the poses stay as they were (--coverage asks for less)",
+            " without loop closures the poses stay as they were; --coverage can ask for less",
             file=sys.stderr,
         )
-    if far := sum(each.is_novel for each in judged):
+    if far := sum(prediction.is_novel for prediction in predictions):
         print(
-            f"warning: {far} of {len(judged)} submaps are unlike those that the model was trained on:"
+            f"warning: {far} of {len(predictions)} submaps are unlike those that the model was trained on:"
             " their Q is a guess",
             file=sys.stderr,
         )

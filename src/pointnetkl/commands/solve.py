@@ -1,4 +1,4 @@
-"""Command `solve`: a pose graph of one's own, optimised, with our covariances on its loop closures if wanted."""
+"""Command `solve`: optimises a user's pose graph, with our covariances on its loop closures if wanted."""
 
 import argparse
 from pathlib import Path
@@ -7,46 +7,61 @@ from typing import Any
 import numpy as np
 
 from pointnetkl.commands import shared
+from pointnetkl.registration.covariance import catalogue
+from pointnetkl.slam.robust import tables
 
-_KERNELS = ("none", "huber", "cauchy", "dcs", "gnc")  # robust.KERNELS, without the second that its import takes
+_KERNELS = ("none", *tables.KERNELS[1:])
 _DESCRIPTION = """\
-The most likely poses of a pose graph in a g2o file (3D: VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX), by GTSAM's
-Levenberg-Marquardt from the poses in the file. What is FIXed is held; without such a line, the first vertex.
+Find the most likely poses of a pose graph in a g2o file (3D: VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX), by GTSAM's
+Levenberg-Marquardt from the poses in the file. Vertices with a line FIX are held; without such a line the first is.
 
-With --covariances, x and y (and yaw, where the table has it) of every loop closure, an edge between vertices i and j
-with |i - j| > 1, get the covariance Q of the later submap: a vertex is named by its submap's number, and the later of
-the two is taken for the registered one. Q is in that submap's levelled frame; where the submap is the edge's first
-vertex Q is turned to the frame of the second, in which g2o and GTSAM have an edge's error. The edge's z, roll, pitch
-(and yaw) keep their variances; correlations between them and x, y are dropped. Q enters as the table has it: without
-the floor (slam.floor_m2 of the parameters) that `export` adds, and with its full weight on every edge of a submap, as
-`export --edges all` has it.
+--covariances replaces the covariance in x and y (and yaw, where the tables have it) of every loop closure: an edge
+between vertices i and j with |i - j| > 1. A vertex must have its submap's number. The edge gets the covariance Q of the
+later submap, which counts as the registered one. Q is in that submap's levelled frame; where the submap is the edge's
+first vertex, Q is moved to the frame of the second, where g2o and GTSAM have an edge's error. Variances of z, roll,
+pitch (and yaw) stay as they are; their correlations with x and y become zero. Q is used as the tables have it. `export`
+adds a floor (slam.floor_m2 of the parameters); `solve` does not. Every edge of a submap gets its full Q, as with
+`export --edges all`.
 
---robust weighs down loop closures that contradict the rest, and names those whose weight is a half or less; other edges
-are believed. What counts is the length of a closure's residual at the solution, whitened by its covariance: with the
-thresholds as they come (stress.thresholds of the parameters) a weight is a half at 1.0 (cauchy), 1.35 (dcs) and 2.69
-(huber), and gnc lets go at 4.1.
+--robust lowers the weights of loop closures that contradict the rest, and lists those with a weight of a half or less;
+other edges are trusted. The weight depends on the length of a closure's residual at the solution, whitened by its
+covariance. With the default thresholds (stress.thresholds of the parameters) it is a half at 1.0 (cauchy), 1.35 (dcs)
+and 2.69 (huber), and gnc drops a closure at 4.1.
 """
 
 
 def add(commands: Any) -> None:
-    """Add the command's words."""
-    command = shared.parser(commands, "solve", "a g2o file of your own, optimised", _DESCRIPTION, shared.DIALECTS)
-    command.add_argument("graph", type=Path, metavar="GRAPH.g2o", help="a pose graph")
-    command.add_argument("--dialect", choices=("g2o", "gtsam"), help="of a file that does not say it (default: g2o)")
-    command.add_argument("--covariances", type=Path, nargs="+", metavar="TABLE", help="covariances by submap")
-    command.add_argument("--method", default="network", help="whose covariances (default: %(default)s)")
-    command.add_argument(
-        "--robust", choices=_KERNELS, default="none", help="against wrong loop closures (default: %(default)s)"
+    """Add the command's parser."""
+    command = shared.parser(
+        commands, "solve", "optimise a pose graph of your own, a g2o file", _DESCRIPTION, shared.DIALECTS
     )
-    command.add_argument("--params", type=Path, default=Path("params.yaml"), help="for --robust (default: %(default)s)")
-    command.add_argument("--out", type=Path, required=True, metavar="SOLVED.g2o", help="graph to write, same dialect")
-    command.add_argument("--tum", type=Path, metavar="FILE", help="trajectory to write; a vertex's number is its time")
+    command.add_argument("graph", type=Path, metavar="GRAPH.g2o", help="a pose graph")
+    command.add_argument("--dialect", choices=("g2o", "gtsam"), help="of a file that does not state it (default: g2o)")
+    command.add_argument("--covariances", type=Path, nargs="+", metavar="TABLE", help="covariances by submap")
+    command.add_argument(
+        "--method", default=catalogue.NETWORK, help="method to take covariances of (default: %(default)s)"
+    )
+    command.add_argument(
+        "--robust",
+        choices=_KERNELS,
+        default="none",
+        help="estimator against wrong loop closures (default: %(default)s)",
+    )
+    command.add_argument(
+        "--params", type=Path, default=Path("params.yaml"), help="parameters, for --robust (default: %(default)s)"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="SOLVED.g2o", help="graph to write, in the same dialect"
+    )
+    command.add_argument(
+        "--tum", type=Path, metavar="FILE", help="trajectory to write, with a vertex's number as its time"
+    )
     command.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the solution and print how far the edges are from it."""
-    # some seconds, which --help need not take
+    """Write the solution and print the error of the edges before and after."""
+    # these imports take seconds, and --help does not need them
     from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 
     shared.require_apart(arguments.out, arguments.tum)
@@ -66,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
-    """Return the solution by a robust estimator; print the loop closures that it did not believe."""
+    """Return the solution by a robust estimator; print the loop closures that it did not accept."""
     from pointnetkl.exchange import graph_exchange, graph_solver
     from pointnetkl.slam.robust import estimators
     from pointnetkl.workflow import parameters
@@ -76,15 +91,15 @@ def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
     if not len(doubted):
         raise shared.CommandError(f"{arguments.graph}: has no loop closure to doubt; leave --robust out")
     solved, weights = graph_solver.solve_robust(graph, doubted, arguments.robust, thresholds)
-    out = doubted[weights <= estimators.ACCEPTED]
-    ends = (graph.number[nodes[out]] for nodes in (graph.edges.target, graph.edges.source))
-    wrong = [f"{a}-{b}" for a, b in zip(*ends, strict=True)]
-    print(f"{arguments.robust}: {len(wrong)} of {len(doubted)} loop closures not believed: {' '.join(wrong) or 'none'}")
+    rejected = doubted[weights <= estimators.ACCEPTED]
+    ends = (graph.number[nodes[rejected]] for nodes in (graph.edges.target, graph.edges.source))
+    names = [f"{a}-{b}" for a, b in zip(*ends, strict=True)]
+    print(f"{arguments.robust}: {len(names)} of {len(doubted)} loop closures not accepted: {' '.join(names) or 'none'}")
     return solved
 
 
 def write(out: Path, trajectory: Path | None, graph: Any, poses: np.ndarray, dialect: str) -> None:
-    """Write a graph with other poses, and if wanted these as a trajectory, in the order of the vertices' numbers."""
+    """Write a graph with new poses, and if a path is given the poses as a trajectory in the order of vertex numbers."""
     import dataclasses
 
     from pointnetkl.exchange import g2o, tum

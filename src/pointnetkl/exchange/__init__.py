@@ -1,1 +1,1 @@
-"""Pose graphs, trajectories and clouds as other programs write them: g2o, TUM, PCD, PLY."""
+"""Pose graphs, trajectories and submaps in the files of other programs: g2o, TUM and PCD."""

@@ -1,10 +1,10 @@
-"""Pose graphs as g2o files, in two dialects that name alike what they do not mean alike.
+"""Pose graphs as g2o files, in two dialects whose lines look the same and mean different things.
 
-Both have a line for each vertex (T_map_vertex) and edge (T_target_source, and the upper triangle of its information
-in the source's frame, translation first). To g2o itself an orientation's error is the vector part of its quaternion,
-half an angle: `g2o` so has the rotation's block of the information times 4, and the blocks between it and the
-translation times 2, against `gtsam`, whose units are metres and radians throughout, as GTSAM reads and writes them. A
-file does not say which it is: ours do, in the comment that they begin with.
+Both have a line for each vertex (T_map_vertex) and for each edge (T_target_source, and the upper triangle of its
+information in the source's frame, translation first). They differ in the error of an orientation. Dialect `gtsam` has
+it in radians, as GTSAM reads and writes files. Dialect `g2o`, that of g2o itself, has the vector part of a quaternion,
+which is half an angle: the information's block of the rotation is 4 times that in radians, and its blocks between
+rotation and translation 2 times. Files usually do not state their dialect; ours do, in their first line, a comment.
 """
 
 from dataclasses import dataclass
@@ -19,45 +19,45 @@ from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
 DIALECTS = ("g2o", "gtsam")
-_ORDER = np.array([3, 4, 5, 0, 1, 2])  # a file has the translation first, a tangent vector of ours the rotation
+_ORDER = np.array([3, 4, 5, 0, 1, 2])  # files have the translation first, our tangent vectors the rotation
 _UPPER = np.triu_indices(6)
-_UNITS = {"g2o": np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]), "gtsam": np.ones(6)}  # radians in a unit of the file
-_TITLE = "# pointnetkl pose graph, dialect"  # how a file of ours begins
+_UNITS = {"g2o": np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]), "gtsam": np.ones(6)}  # per radian (and metre)
+_TITLE = "# pointnetkl pose graph, dialect"  # first line of our files
 _ERROR = {
     "g2o": "(x, y, z, qx, qy, qz), metres and quaternion",
     "gtsam": "(x, y, z, roll, pitch, yaw), metres, radians",
 }
 _VERTEX, _EDGE, _FIX = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "FIX"
 _NUMBERS = {_VERTEX: 7, _EDGE: 28}  # after the names of vertices
-_SMALLEST = 1e-12  # eigenvalue of an information that is scaled to a unit diagonal; less is rounding
+_SMALLEST = 1e-12  # eigenvalue of an information scaled to a unit diagonal; less is rounding
 
 
 class G2oError(PointNetKLError):
-    """A file is no pose graph, or not one of 3D poses."""
+    """A file is not a pose graph of 3D poses."""
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Vertices in the order of their file, and what was measured between them; nodes count from 0."""
+    """Vertices in the order of their file, and the edges between them; nodes count from 0."""
 
     number: np.ndarray  # (n,) the name of each vertex: the submap's number
     poses: np.ndarray  # (n, 4, 4) T_map_vertex
     edges: Edges
     information: np.ndarray  # (e, 6, 6) in m and rad, rotation first, in the source's frame
-    fixed: np.ndarray  # (f,) nodes whose pose is given
+    fixed: np.ndarray  # (f,) nodes that an optimiser holds
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a file holds, and how it was understood."""
+    """The graph of a file, and the dialect in which it was read."""
 
     graph: Graph
     dialect: str
-    is_stated: bool  # by the file or the caller; else g2o is assumed
+    is_stated: bool  # by the file or the caller; if not, g2o is assumed
 
 
 def write(path: Path, graph: Graph, dialect: str) -> None:
-    """Write a graph with all digits of its numbers, whole or not at all.
+    """Write a graph with all digits of its numbers; the file is replaced as a whole.
 
     Raises:
         ArtifactError: the file cannot be written.
@@ -66,7 +66,7 @@ def write(path: Path, graph: Graph, dialect: str) -> None:
 
 
 def to_text(graph: Graph, dialect: str) -> str:
-    """Return a graph as the text of a file."""
+    """Return the text of a file for a graph."""
     names, edges = graph.number.tolist(), graph.edges
     units = _UNITS[dialect]
     information = (units[:, None] * graph.information[:, _ORDER[:, None], _ORDER] * units)[:, *_UPPER]
@@ -82,24 +82,25 @@ def to_text(graph: Graph, dialect: str) -> str:
 
 
 def read(path: Path, dialect: str | None = None) -> Content:
-    """Return the graph in a file, taken in the dialect that it or the caller says, and in g2o's where neither does.
+    """Return the graph in a file, in the dialect that it or the caller states, else in dialect g2o.
 
-    Lines may be in any order; those of PARAMS_..., which only other kinds of edges use, are passed over.
+    Lines may be in any order. Those of PARAMS_..., which only other kinds of edges use, are ignored.
 
     Raises:
-        G2oError: the file is missing or damaged, has other lines than 3D poses and edges, a vertex twice or not at
-            all, an information that is not positive definite, or says another dialect than the caller or there are.
+        G2oError: the file is missing or damaged; it has lines other than 3D poses and edges, a vertex twice, an edge
+            to no vertex, or an information that is not positive definite; or its dialect is unknown or not the
+            caller's.
     """
     lines = text_lines.read(path, G2oError)
     stated = _stated(path, lines)
     if dialect and stated and dialect != stated:
         raise G2oError(f"{path}: its first line says dialect {stated}, not {dialect}; leave the dialect out")
-    chosen = dialect or stated or "g2o"
-    return Content(_Reader(path).read(lines, _UNITS[chosen]), chosen, bool(dialect or stated))
+    read_as = dialect or stated or DIALECTS[0]
+    return Content(_Reader(path).read(lines, _UNITS[read_as]), read_as, bool(dialect or stated))
 
 
 class _Reader:
-    """A file's lines on their way to a graph: what is wrong is told by its line."""
+    """Builds a graph from the lines of a file; errors name the line."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -112,9 +113,9 @@ class _Reader:
     def read(self, lines: list[tuple[int, list[str]]], units: np.ndarray) -> Graph:
         for line, words in lines:
             if not words[0].startswith(("#", "PARAMS_")):
-                self._take(line, words)
+                self._add(line, words)
         if not self._node:
-            raise G2oError(f"{self._path}: has no {_VERTEX}; it is no pose graph, or it is cut")
+            raise G2oError(f"{self._path}: has no {_VERTEX}; it is not a pose graph, or it is cut off")
         poses, _ = self._transforms(_VERTEX)
         measured, rest = self._transforms(_EDGE)
         ends = np.array(self._nodes(self._ends), np.int64).reshape(-1, 2)
@@ -122,7 +123,7 @@ class _Reader:
         information = self._information(rest, units)
         return Graph(np.array(list(self._node)), poses, Edges(ends[:, 0], ends[:, 1], measured), information, fixed)
 
-    def _take(self, line: int, words: list[str]) -> None:
+    def _add(self, line: int, words: list[str]) -> None:
         tag, names, values = self._parsed(line, words)
         if tag == _FIX:
             self._fixed.append((line, names))
@@ -135,14 +136,14 @@ class _Reader:
             self._add_vertex(line, names[0])
 
     def _parsed(self, line: int, words: list[str]) -> tuple[str, list[int], list[float]]:
-        """Return what a line begins with, the vertices that it names, and its numbers."""
+        """Return the tag that a line begins with, the vertices that it names, and its numbers."""
         tag, *rest = words
         if tag not in (*_NUMBERS, _FIX):
-            known = f"only {_VERTEX}, {_EDGE} and {_FIX} are read"
-            raise self._error(line, f"it begins with {text_lines.shown(tag)}; {known}")
+            cause = f"it begins with {text_lines.shown(tag)}; only {_VERTEX}, {_EDGE} and {_FIX} are read"
+            raise self._error(line, cause)
         named = {_VERTEX: 1, _EDGE: 2, _FIX: max(1, len(rest))}[tag]
-        if len(rest) != (wanted := named + _NUMBERS.get(tag, 0)):
-            raise self._error(line, f"it has {len(rest)} words after {tag}, must have {wanted}")
+        if len(rest) != (expected := named + _NUMBERS.get(tag, 0)):
+            raise self._error(line, f"it has {len(rest)} words after {tag}, must have {expected}")
         try:
             return tag, [text_lines.whole(word) for word in rest[:named]], text_lines.numbers(rest[named:])
         except ValueError as error:
@@ -165,7 +166,7 @@ class _Reader:
         return [[self._node[name] for name in names] for _, names in named]
 
     def _transforms(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses of the lines of a kind, and the numbers after them."""
+        """Return the poses of all lines with a tag, and the numbers after them."""
         rows = np.array(self._rows[tag], np.float64).reshape(-1, _NUMBERS[tag])
         wrong = ~pose.are_unit(rows[:, 3:7])
         if wrong.any():
@@ -177,38 +178,38 @@ class _Reader:
         matrices = np.zeros((len(upper), 6, 6))
         matrices[:, *_UPPER] = upper
         matrices += np.swapaxes(np.triu(matrices, 1), 1, 2)
-        found = (matrices / units[:, None] / units)[:, _ORDER[:, None], _ORDER]
-        wrong = ~is_definite(found)
+        information = (matrices / units[:, None] / units)[:, _ORDER[:, None], _ORDER]
+        wrong = ~is_definite(information)
         if wrong.any():
             raise self._error(self._lines[_EDGE][int(wrong.argmax())], "its information is not positive definite")
-        return np.asarray(found)
+        return np.asarray(information)
 
     def _error(self, line: int, cause: str) -> G2oError:
         return G2oError(f"{self._path}: line {line}: {cause}")
 
 
 def is_definite(matrices: np.ndarray) -> np.ndarray:
-    """Return which (e,) of the symmetric matrices (e, k, k) are positive definite, whatever the units of their axes."""
+    """Return which (e,) of the symmetric matrices (e, k, k) are positive definite, in any units of their axes."""
     scale = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0))
     good = (scale > 0).all(axis=1)
     scaled = np.tile(np.eye(matrices.shape[-1]), (len(matrices), 1, 1))
     with np.errstate(over="ignore"):
         scaled[good] = matrices[good] / scale[good, :, None] / scale[good, None]
-    good &= (np.abs(scaled) <= 2).all(axis=(1, 2))  # no correlation is above 1; and eigvalsh takes no infinity
+    good &= (np.abs(scaled) <= 2).all(axis=(1, 2))  # no correlation is above 1, and eigvalsh refuses infinity
     scaled[~good] = np.eye(matrices.shape[-1])
     return np.asarray(good & (np.linalg.eigvalsh(scaled)[:, 0] > _SMALLEST))
 
 
 def _stated(path: Path, lines: list[tuple[int, list[str]]]) -> str | None:
-    """Return the dialect that a comment before all else says."""
+    """Return the dialect that the first line states, or None."""
     first = " ".join(lines[0][1]) if lines else ""
     if not first.startswith(_TITLE):
         return None
-    said = first.removeprefix(_TITLE).split(":")[0].strip()
-    if said not in DIALECTS:
-        known = " and ".join(DIALECTS)
-        raise G2oError(f"{path}: its first line says dialect {text_lines.shown(said)}; there are {known}")
-    return said
+    stated = first.removeprefix(_TITLE).split(":")[0].strip()
+    if stated not in DIALECTS:
+        known_dialects = " and ".join(DIALECTS)
+        raise G2oError(f"{path}: its first line says dialect {text_lines.shown(stated)}; there are {known_dialects}")
+    return stated
 
 
 def _rows(poses: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""From the pipeline's graphs to those of g2o files, and our covariances onto the edges of other people's."""
+"""Converts the pipeline's graphs to those of g2o files, and puts our covariances on the edges of other graphs."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class GraphExchangeError(PointNetKLError):
-    """A graph and covariances do not belong together."""
+    """A submap that closes a loop has no covariance."""
 
 
 def join(
@@ -24,19 +24,19 @@ def join(
     closures: Edges,
     covariances: np.ndarray,
 ) -> g2o.Graph:
-    """Return the graph of submaps (n,) at poses (n, 4, 4), the first of which is held.
+    """Return the graph of submaps (n,) at poses (n, 4, 4) with its first node held.
 
     Its edges are dead reckoning (n - 1, 4, 4) with its noise, and closures with covariances (e, 6, 6) in their
     sources' frames, rotation first.
     """
     node = np.arange(len(number))
-    along = np.tile(np.diag(pose_graph.sigmas(noise) ** -2.0), (len(node) - 1, 1, 1))
+    odometry = np.tile(np.diag(pose_graph.sigmas(noise) ** -2.0), (len(node) - 1, 1, 1))
     edges = Edges(
         np.concatenate([node[:-1], closures.target]),
         np.concatenate([node[1:], closures.source]),
         np.concatenate([dead_reckoning, closures.measured]),
     )
-    return g2o.Graph(number, poses, edges, np.concatenate([along, inverse(covariances)]), node[:1])
+    return g2o.Graph(number, poses, edges, np.concatenate([odometry, inverse(covariances)]), node[:1])
 
 
 def closes_loop(graph: g2o.Graph) -> np.ndarray:
@@ -47,9 +47,9 @@ def closes_loop(graph: g2o.Graph) -> np.ndarray:
 def with_covariances(graph: g2o.Graph, q: Mapping[int, np.ndarray]) -> g2o.Graph:
     """Return the graph with Q (M, M) by submap for x and y (and yaw, M = 3) of its loop closures.
 
-    The registered submap of a loop closure is the later one, of the higher number, in whose frame Q is. Where it is
-    the edge's first vertex Q is taken to the frame of the second. Of the edge's covariance the rest remains; what it
-    had between x, y (and yaw) and the rest goes.
+    Of the two submaps of a loop closure the later one, with the higher number, counts as the registered one, and Q is
+    in its frame. Where it is the edge's first vertex, Q is moved to the frame of the second. The edge keeps its
+    variances of the other axes; correlations between them and x, y (and yaw) become zero.
 
     Raises:
         GraphExchangeError: a submap that closes a loop has no Q.
@@ -57,25 +57,25 @@ def with_covariances(graph: g2o.Graph, q: Mapping[int, np.ndarray]) -> g2o.Graph
     closing = np.flatnonzero(closes_loop(graph))
     covariances = inverse(graph.information[closing])
     for covariance, edge in zip(covariances, closing.tolist(), strict=True):
-        in_source = _of_edge(graph, edge, q)
-        places = pose_graph.XY_YAW[: len(in_source)]
-        covariance[places] = covariance[:, places] = 0.0
-        covariance[places[:, None], places] = in_source
+        in_source = _in_source_frame(graph, edge, q)
+        axes = pose_graph.XY_YAW[: len(in_source)]
+        covariance[axes] = covariance[:, axes] = 0.0
+        covariance[axes[:, None], axes] = in_source
     information = graph.information.copy()
     information[closing] = inverse(covariances)
     return dataclasses.replace(graph, information=information)
 
 
 def inverse(matrices: np.ndarray) -> np.ndarray:
-    """Return the inverses of positive definite matrices (e, k, k), whatever the units of their axes."""
+    """Return the inverses of positive definite matrices (e, k, k), accurate in any units of their axes."""
     scale = 1 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
     scaled = scale[:, :, None] * matrices * scale[:, None]
     inverted = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None]
     return np.asarray((inverted + np.swapaxes(inverted, 1, 2)) / 2)
 
 
-def _of_edge(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Return Q (M, M) of an edge's later submap in the frame of its second vertex, where GTSAM has its error."""
+def _in_source_frame(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return Q (M, M) of an edge's later submap in the frame of its second vertex, where GTSAM has the error."""
     first, second = (int(graph.number[ends[edge]]) for ends in (graph.edges.target, graph.edges.source))
     later = max(first, second)
     if later not in q:
@@ -87,7 +87,7 @@ def _of_edge(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -> np.nda
 
 
 def _adjoint(T: np.ndarray) -> np.ndarray:
-    """Return what takes small motions (x, y, yaw) from a frame to that which T (4, 4) leads to."""
+    """Return the matrix (3, 3) that takes small motions (x, y, yaw) from a frame to the one that T (4, 4) leads to."""
     adjoint = np.eye(3)
     adjoint[:2, :2] = pose.matrix(np.zeros(3), pose.yaw_of(T))[:2, :2]
     adjoint[:2, 2] = T[1, 3], -T[0, 3]

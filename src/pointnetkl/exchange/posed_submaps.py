@@ -1,4 +1,4 @@
-"""Submaps in files with their poses, as a pose graph: a survey that another program has cut up."""
+"""Reads submaps with poses from the files of another program, and builds their pose graph."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,21 +16,21 @@ from pointnetkl.surveys import pose
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 
-_NEIGHBOURS = 20  # whose farthest is at the edge of a disk that holds so many
+_NEIGHBOURS = 20  # of a point, to measure the spacing
 
 
 class PosedSubmapsError(PointNetKLError):
-    """Files of submaps are no survey."""
+    """Files of submaps do not make a survey."""
 
 
 def read(paths: Sequence[Path]) -> tuple[list[Submap], np.ndarray]:
     """Return the submaps of files, numbered from 0 in their order, and their poses T_map_submap (n, 4, 4).
 
-    Each is turned to a levelled frame: of the roll and pitch that its file has, nothing is left in its pose.
+    The frames become level: the roll and pitch of a file's pose go into the points.
 
     Raises:
         CloudFileError: a file is damaged or has no pose.
-        PosedSubmapsError: there are fewer than two files, all with one pose, or one has too few points.
+        PosedSubmapsError: there are fewer than two files, all have the same position, or one has too few points.
     """
     if len(paths) < 2:
         raise PosedSubmapsError(f"there is {len(paths)} submap, a graph needs 2 or more")
@@ -47,15 +47,16 @@ def read(paths: Sequence[Path]) -> tuple[list[Submap], np.ndarray]:
 
 
 def levelled(points: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (n, 3) of a frame of pose T (4, 4) in the frame of its position and yaw alone; and that pose."""
+    """Return points (n, 3) and their pose T (4, 4) for a level frame, with the position and yaw of T."""
     level = pose.matrix(T[:3, 3], pose.yaw_of(T))
     return pose.transform(np.linalg.inv(level) @ T, points), level
 
 
 def spacing(submaps: Sequence[Submap]) -> float:
-    """Return the edge in metres of the square that has one point, at the median over points and then over submaps.
+    """Return the side in metres of a square that holds one point: the median over points, and then over submaps.
 
-    By how far a point's neighbours are: along a ping they may be much denser than along the track.
+    A disk up to a point's farthest neighbour holds _NEIGHBOURS points. The nearest alone would not do, because points
+    may be much denser along a ping than along the track.
     """
     farthest = [neighbours.nearest(s.points, _NEIGHBOURS)[0][:, -1] for s in submaps]
     return float(np.median([np.median(d) for d in farthest]) * np.sqrt(np.pi / _NEIGHBOURS))
@@ -69,15 +70,16 @@ def connect(
     settings: loop_closure.Settings,
     registration: gicp.Settings,
 ) -> tuple[g2o.Graph, Closures]:
-    """Return the graph of submaps at poses (n, 4, 4) with Q (M, M) by submap on its loop closures, and those.
+    """Return the graph of submaps at poses (n, 4, 4) with Q (M, M) by submap on its loop closures, and the closures.
 
-    Registrations start from the poses, moved along with the submap before; `edges` is all or shared, as slam.edges.
+    Registrations start at dead reckoning from the corrected submap before; `edges` is all or shared, as slam.edges.
 
     Raises:
-        SurveyGraphError: a Q has not the dimensions of the registration.
+        SurveyGraphError: a Q does not have the dimensions of the registration.
     """
-    found = loop_closure.close(submaps, poses, None, spacing(submaps), settings, registration)
+    closures = loop_closure.close(submaps, poses, None, spacing(submaps), settings, registration)
     number = np.array([s.number for s in submaps], np.int64)
-    full = survey_graph.full_covariances(number, q, found, settings.loop_closure, "submaps", edges)
-    along = pose_graph.between(poses)
-    return graph_exchange.join(number, poses, along, settings.dead_reckoning, found.edges, full), found
+    full = survey_graph.full_covariances(number, q, closures, settings.loop_closure, "submaps", edges)
+    relative = pose_graph.between(poses)
+    graph = graph_exchange.join(number, poses, relative, settings.dead_reckoning, closures.edges, full)
+    return graph, closures

@@ -1,4 +1,4 @@
-"""Trajectories as TUM files: a line `seconds x y z qx qy qz qw` for each pose, as evo and others read them."""
+"""Trajectories as TUM files, which evo and others read: a line `seconds x y z qx qy qz qw` for each pose."""
 
 from pathlib import Path
 
@@ -11,19 +11,19 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class TumError(PointNetKLError):
-    """A file is no trajectory."""
+    """A file is not a trajectory."""
 
 
-def write(path: Path, time_s: np.ndarray, poses: np.ndarray, says: str) -> None:
-    """Write poses T_map_body (n, 4, 4) at times (n,) with all digits, after a comment with what `says` of the times.
+def write(path: Path, time_s: np.ndarray, poses: np.ndarray, times_are: str) -> None:
+    """Write poses T_map_body (n, 4, 4) at times (n,) with all digits; a comment first says what `times_are`.
 
     Raises:
         ArtifactError: the file cannot be written.
     """
     rows = np.column_stack([time_s, poses[:, :3, 3], pose.quaternions(poses)])
     lines = [
-        f"# {says}; x y z in metres in the map frame, qx qy qz qw",
-        *(" ".join(map(repr, r)) for r in rows.tolist()),
+        f"# {times_are}; x y z in metres in the map frame, qx qy qz qw",
+        *(" ".join(map(repr, row)) for row in rows.tolist()),
     ]
     artifacts.write_bytes(path, ("\n".join(lines) + "\n").encode())
 
@@ -32,16 +32,16 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the times (n,) in seconds and the poses T_map_body (n, 4, 4) of a file.
 
     Raises:
-        TumError: the file is missing, damaged or empty, or its times do not grow.
+        TumError: the file is missing, damaged or empty, or its times do not increase.
     """
     lines = [(line, words) for line, words in text_lines.read(path, TumError) if words[0][0] != "#"]
     if not lines:
-        raise TumError(f"{path}: has no pose; it is no trajectory, or it is cut")
+        raise TumError(f"{path}: has no pose; it is not a trajectory, or it is cut off")
     rows = np.array([_numbers(path, line, words) for line, words in lines])
-    grows = np.diff(rows[:, 0], prepend=-np.inf) > 0
+    increasing = np.diff(rows[:, 0], prepend=-np.inf) > 0
     for good, cause in (
         (pose.are_unit(rows[:, 4:]), "its quaternion has not length 1; the order is qx qy qz qw"),
-        (grows, "its time is not later than the one before"),
+        (increasing, "its time is not later than the one before"),
     ):
         if not good.all():
             raise TumError(f"{path}: line {lines[int(good.argmin())][0]}: {cause}")
