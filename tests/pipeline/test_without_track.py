@@ -146,6 +146,6 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
 
 
 def test_where_no_survey_has_a_track_every_figure_says_so():
-    figures = dict(slam_figures.figures([], {}, {}))
+    figures = dict(slam_figures.every([], {}, {}))
     assert len(figures) == 6
     assert {figure.texts[0].get_text() for figure in figures.values()} == {"no test survey has a track"}

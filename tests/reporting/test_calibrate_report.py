@@ -92,7 +92,7 @@ def test_the_variance_to_add_is_that_which_was_left_out():
 
 def test_where_the_truth_is_not_known_errors_are_told_from_gt():
     of = made(1, sigma=2.0, truth=False)
-    assert of.against == "gt"
+    assert of.reference == "gt"
     assert closures.calibrations({"a": of})["a"][GOLD]["nees"] == pytest.approx(4, rel=0.05)
 
 
@@ -199,7 +199,7 @@ def test_where_the_truth_is_not_known_no_copy_is_advised():
 
 def test_bins_of_errors_drawn_from_q_lie_on_the_line():
     of = made(1)
-    points = calibration_plots.binned(*of.judged(GOLD))
+    points = calibration_plots.binned(*of.described(GOLD))
     assert len(points) == 8
     assert points[:, 1] == pytest.approx(points[:, 0], rel=0.1)
     assert calibration_plots.binned(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0, 2)

@@ -25,6 +25,7 @@ from pointnetkl.reporting.results import Folders, Labels, Settings, Test
 from pointnetkl.reporting.robustness import figures as robustness_figures
 from pointnetkl.reporting.robustness import numbers as robustness
 from pointnetkl.reporting.robustness import tables as robustness_tables
+from pointnetkl.reporting.robustness.numbers import StressTest
 from pointnetkl.reporting.slam import consistency
 from pointnetkl.reporting.slam import figures as slam_figures
 from pointnetkl.reporting.slam import numbers as slam
@@ -66,7 +67,7 @@ class _Artifacts:
     runtime: Mapping[str, Any]
     variations: pd.DataFrame  # schema label_table.VARIATIONS
     map_thinning: pd.DataFrame  # schema slam_tables.THINNING
-    robustness: robustness.Found
+    robustness: StressTest
     cleaned: Mapping[str, Mapping[str, Any]]  # survey_tables.read
 
 
@@ -187,7 +188,7 @@ def _tables(numbers: Numbers, study: Study, read: _Artifacts) -> dict[str, list[
         **covariance_tables.every(numbers, datasets, read.training, read.runtime, methods),
         **closure_tables.every(numbers, datasets),
         **slam_tables.every(numbers, read.map_thinning, datasets),
-        **robustness_tables.tables(read.robustness, datasets),
+        **robustness_tables.every(read.robustness, datasets),
     }
 
 
@@ -219,10 +220,10 @@ def _figures(
         label_figures.every(read.labels, read.variations, read.losses, read.runtime, floor_m2),
         covariance_figures.every(judged, frames["kl"], frames["calibration"], read.runtime),
         closure_figures.every(frames["calibration_lc"], read.closures),
-        slam_figures.figures(judged, spacing, numbers),
+        slam_figures.every(judged, spacing, numbers),
         [("slam", method_plots.slam_error(frames["slam"]))],
         [("consistency", consistency.read_and_draw(folders, with_track))],
-        robustness_figures.figures(read.robustness),
+        robustness_figures.every(read.robustness),
     )
     for figures in sections:
         for name, figure in figures:

@@ -1,4 +1,4 @@
-"""Figures of how covariances describe loop closures: by method, by overlap and terrain, and by their own size."""
+"""Figures of how covariances describe loop closures: by method, by overlap and terrain, and by predicted size."""
 
 from collections.abc import Iterator, Mapping
 
@@ -8,75 +8,81 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.reporting import paper
-from pointnetkl.reporting.closures import numbers as closures
+from pointnetkl.reporting.closures import numbers
 from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.drawing import families, plots
 from pointnetkl.reporting.results import GOLD
 from pointnetkl.slam.closures.tables import BUILT, PLACED
 
-_NEES = (0.1, 5000.0)  # shown; what lies beyond stands at the border
-_COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plots.SKY)
-_SHOWN = {GOLD: plots.GREEN, SPLIT: plots.BLUE, PAIR: "black", "network": plots.RED, "constant": plots.GREY}
-_BINS, _FEWEST = 8, 5  # of equally many registrations; and how many make one
+_NEES = (0.1, 5000.0)  # range of the axis; values beyond it are drawn at its border
+_COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plots.SKY)  # of surveys
+_METHODS = {
+    GOLD: plots.GREEN,
+    SPLIT: plots.BLUE,
+    PAIR: "black",
+    catalogue.NETWORK: plots.RED,
+    catalogue.CONSTANT: plots.GREY,
+}
+_BINS, _FEWEST = 8, 5  # bins with equally many registrations; the least number that makes one
 _TERRAIN = {"overlap": "share of S_i that its targets cover", "patchiness": "patchiness of S_i's slopes"}
+_MARKERS = {"": ("o", "black"), "placed_": ("|", "black"), "held_out_": ("o", "none")}  # by prefix of the columns
+_KINDS = ("loop closures of the graph", "the same with every submap where it truly is", "held-out errors of labels")
 
 
-def every(table: pd.DataFrame, found: Mapping[str, Closures]) -> Iterator[tuple[str, Figure]]:
-    """Yield all of them by name; `table` as `by_method` takes it, the closures by test survey."""
+def every(table: pd.DataFrame, surveys: Mapping[str, Closures]) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures by name; `table` is that of `by_method`, and `surveys` are the test surveys' closures."""
     yield "calibration_lc", by_method(table)
-    yield "closure_ratios", ratios(found)
-    yield "closure_sigmas", by_sigma(found)
+    yield "closure_ratios", ratios(surveys)
+    yield "closure_sigmas", by_sigma(surveys)
 
 
 def by_method(table: pd.DataFrame) -> Figure:
     """Draw each method's NEES and coverage on loop closures, beside placed registrations and held-out errors.
 
-    `table` has a row per survey and method: nees, coverage_95, each also as placed_ and held_out_ (None: unknown).
+    `table` has a row per survey and method: nees, coverage_95, and both again with the prefixes placed_ and held_out_
+    (None where not known).
     """
     if table.empty:
         return _nothing()
     surveys, order = list(dict.fromkeys(table["survey"])), _order(table)
     figure = Figure((plots.WIDTH_IN, 1.6 + 0.38 * len(order)), layout="constrained")
     grid = figure.subplots(2, len(surveys), squeeze=False, sharey=True, sharex="row")
-    for axes, survey in zip(grid.T, surveys, strict=True):
+    for (nees, coverage), survey in zip(grid.T, surveys, strict=True):
         rows = table[table["survey"] == survey]
         heights = np.array([order.index(method) for method in rows["method"]])
-        axes[0].set_title(paper.title(survey), fontsize=10)
-        _dumbbells(axes[0], rows, heights, "nees", _NEES)
-        _dumbbells(axes[1], rows, heights, "coverage_95", (0.0, 1.0))
-        axes[0].axvline(1.0, color=plots.GREY, linestyle=":", linewidth=1)
-        axes[1].axvline(0.95, color=plots.GREY, linestyle=":", linewidth=1)
-        axes[0].set(xscale="log", xlim=(_NEES[0] / 1.3, _NEES[1] * 1.3))
-        plots.plain_log(axes[0], "x")
-        axes[0].set_xlabel("normalised NEES", fontsize=9)
-        axes[1].set_xlabel("inside the 95 % ellipse", fontsize=9)
+        nees.set_title(paper.title(survey), fontsize=10)
+        _dumbbells(nees, rows, heights, "nees", _NEES)
+        _dumbbells(coverage, rows, heights, "coverage_95", (0.0, 1.0))
+        nees.axvline(1.0, color=plots.GREY, linestyle=":", linewidth=1)
+        coverage.axvline(0.95, color=plots.GREY, linestyle=":", linewidth=1)
+        nees.set(xscale="log", xlim=(_NEES[0] / 1.3, _NEES[1] * 1.3))
+        plots.plain_log(nees, "x")
+        nees.set_xlabel("normalised NEES", fontsize=9)
+        coverage.set_xlabel("inside the 95 % ellipse", fontsize=9)
     grid[0, 0].set_ylim(len(order) - 0.4, -0.6)
     for axes in grid.ravel():
         axes.set_yticks(range(len(order)), order)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.3)
     handles = [grid[0, 0].plot([], [], marker, color="black", mfc=face, ls="")[0] for marker, face in _MARKERS.values()]
-    figure.legend(handles, _SAID, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(handles, _KINDS, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
     return figure
 
 
-_MARKERS = {"": ("o", "black"), "placed_": ("|", "black"), "held_out_": ("o", "none")}
-_SAID = ("loop closures of the graph", "the same with every submap where it truly is", "held-out errors of labels")
-
-
-def ratios(every: Mapping[str, Closures]) -> Figure:
-    """Draw the root trace of Q_ij over that of Q_i, of the labels and of copy split, against overlap and patchiness."""
-    found = {name: of for name, of in every.items() if len(closures.ratios(of, GOLD))}
-    if not found:
+def ratios(surveys: Mapping[str, Closures]) -> Figure:
+    """Draw the root trace of Q_ij over that of Q_i against overlap and patchiness, for the labels and copy split."""
+    surveys = {name: closures for name, closures in surveys.items() if len(numbers.ratios(closures, GOLD))}
+    if not surveys:
         return _nothing()
     figure = Figure((plots.WIDTH_IN, 6.0), layout="constrained")
     grid = figure.subplots(2, 2, sharey=True, sharex="col")
     for line, method in zip(grid, (GOLD, SPLIT), strict=True):
         for axes, (column, label) in zip(line, _TERRAIN.items(), strict=True):
-            for colour, (name, of) in zip(_COLOURS * len(found), found.items(), strict=False):
-                rows = closures.ratios(of, method)
+            for colour, (name, closures) in zip(_COLOURS * len(surveys), surveys.items(), strict=False):
+                rows = numbers.ratios(closures, method)
                 axes.plot(rows[column], rows["ratio"], ".", color=colour, alpha=0.6, label=paper.title(name))
             axes.axhline(1.0, color="black", linewidth=0.8)
             axes.set(yscale="log")
@@ -89,30 +95,44 @@ def ratios(every: Mapping[str, Closures]) -> Figure:
     return figure
 
 
-def by_sigma(every: Mapping[str, Closures]) -> Figure:
-    """Draw the errors of registrations against what Q said, a panel per survey; below, of placed registrations."""
-    found = {name: of for name, of in every.items() if len(of.rows)}
-    if not found:
+def by_sigma(surveys: Mapping[str, Closures]) -> Figure:
+    """Draw the registrations' errors against the size that Q predicts, a panel per survey; below, placed ones."""
+    surveys = {name: closures for name, closures in surveys.items() if len(closures.rows)}
+    if not surveys:
         return _nothing()
-    figure = Figure((plots.WIDTH_IN, 1.0 + 2 * 8.0 / max(2.6, len(found))), layout="constrained")
-    grid = figure.subplots(2, len(found), squeeze=False, sharex=True, sharey=True)
-    for column, (name, of) in zip(grid.T, found.items(), strict=True):
+    figure = Figure((plots.WIDTH_IN, 1.0 + 2 * 8.0 / max(2.6, len(surveys))), layout="constrained")
+    grid = figure.subplots(2, len(surveys), squeeze=False, sharex=True, sharey=True)
+    for column, (name, closures) in zip(grid.T, surveys.items(), strict=True):
         column[0].set_title(paper.title(name), fontsize=10)
         for axes, kind in zip(column, (BUILT, PLACED), strict=True):
-            _against_sigma(axes, of, kind)
-    for axes, said in zip(grid[:, 0], ("loop closures", "every submap where it truly is"), strict=True):
-        axes.set_ylabel(f"rms error (m)\n{said}", fontsize=9)
-    for which in "xy":
-        plots.plain_log(grid[0, 0], which)
+            _against_sigma(axes, closures, kind)
+    for axes, label in zip(grid[:, 0], ("loop closures", "every submap where it truly is"), strict=True):
+        axes.set_ylabel(f"rms error (m)\n{label}", fontsize=9)
+    for axis in "xy":
+        plots.plain_log(grid[0, 0], axis)
     figure.supxlabel("rms of what Q says (m); on the line: right, above it: Q is too sure of itself", fontsize=9)
-    handles, names = _legend(grid)
-    figure.legend(handles, names, loc="outside upper center", ncols=5, frameon=False, fontsize=9)
+    handles, labels = _legend(grid)
+    figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False, fontsize=9)
     return figure
 
 
-def _against_sigma(axes: Axes, of: Closures, kind: str) -> None:
-    for method, colour in _SHOWN.items():
-        if method in of.covariances and len(points := binned(*of.judged(method, kind))):
+def binned(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return points (b, 2), metres in x and y: the rms that q predicts and the rms of the errors, by bins of q.
+
+    Bins have equally many of the errors (r, M); registrations with the same predicted size stay in one bin.
+    """
+    predicted, squared = np.trace(q[:, :2, :2], axis1=1, axis2=2), (errors[:, :2] ** 2).sum(axis=1)
+    edges = np.unique(np.quantile(predicted, np.linspace(0, 1, _BINS + 1))) if len(predicted) else np.empty(0)
+    place = np.clip(np.searchsorted(edges, predicted, side="right") - 1, 0, max(len(edges) - 2, 0))
+    bins = [place == number for number in np.unique(place)]
+    return np.array(
+        [(np.sqrt(predicted[b].mean()), np.sqrt(squared[b].mean())) for b in bins if b.sum() >= _FEWEST]
+    ).reshape(-1, 2)
+
+
+def _against_sigma(axes: Axes, closures: Closures, kind: str) -> None:
+    for method, colour in _METHODS.items():
+        if method in closures.covariances and len(points := binned(*closures.described(method, kind))):
             marker = "s" if len(points) == 1 else "."
             axes.plot(*points.T, marker=marker, color=colour, linewidth=1.3, label=_label(method))
     axes.set(xscale="log", yscale="log")
@@ -120,45 +140,32 @@ def _against_sigma(axes: Axes, of: Closures, kind: str) -> None:
     axes.grid(alpha=0.3)
 
 
-def binned(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return points (b, 2): rms predicted and rms found, metres in x, y, of bins of registrations by what Q says.
-
-    Bins have equally many of the errors (r, M); registrations of one predicted size stay in one bin.
-    """
-    predicted, found = np.trace(q[:, :2, :2], axis1=1, axis2=2), (errors[:, :2] ** 2).sum(axis=1)
-    edges = np.unique(np.quantile(predicted, np.linspace(0, 1, _BINS + 1))) if len(predicted) else np.empty(0)
-    place = np.clip(np.searchsorted(edges, predicted, side="right") - 1, 0, max(len(edges) - 2, 0))
-    bins = [place == each for each in np.unique(place)]
-    return np.array(
-        [(np.sqrt(predicted[b].mean()), np.sqrt(found[b].mean())) for b in bins if b.sum() >= _FEWEST]
-    ).reshape(-1, 2)
-
-
-def _dumbbells(axes: Axes, rows: pd.DataFrame, heights: np.ndarray, column: str, shown: tuple[float, float]) -> None:
-    values = {which: rows[f"{which}{column}"].astype(float).clip(*shown).to_numpy() for which in _MARKERS}
+def _dumbbells(axes: Axes, rows: pd.DataFrame, heights: np.ndarray, column: str, limits: tuple[float, float]) -> None:
+    values = {kind: rows[f"{kind}{column}"].astype(float).clip(*limits).to_numpy() for kind in _MARKERS}
     colours = [families.of(method).colour for method in rows["method"]]
     axes.hlines(heights, values["held_out_"], values[""], colors=colours, linewidth=1.2, alpha=0.6)
-    for which, (marker, face) in _MARKERS.items():
-        for value, height, colour in zip(values[which], heights, colours, strict=True):
+    for kind, (marker, face) in _MARKERS.items():
+        for value, height, colour in zip(values[kind], heights, colours, strict=True):
             axes.plot(value, height, marker, color=colour, mfc=face if face == "none" else colour, ms=6)
 
 
 def _order(table: pd.DataFrame) -> list[str]:
-    """Return the methods, the best first: by how far from 95 % their ellipses are, over all surveys."""
+    """Return the methods, the best first: by the mean distance of their coverage from 95 %, over all surveys."""
     miss = (table["coverage_95"].astype(float) - 0.95).abs().groupby(table["method"]).mean()
     return [str(method) for method in miss.sort_values(kind="stable").index]
 
 
 def _label(method: str) -> str:
-    return {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair, an oracle)"}.get(method, method)
+    labels = {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair, an oracle)"}
+    return labels.get(method, method)
 
 
 def _legend(grid: np.ndarray) -> tuple[list[Artist], list[str]]:
-    found: dict[str, Artist] = {}
+    handles: dict[str, Artist] = {}
     for axes in grid.ravel():
-        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(name, handle)
-    return list(found.values()), list(found)
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    return list(handles.values()), list(handles)
 
 
 def _nothing() -> Figure:

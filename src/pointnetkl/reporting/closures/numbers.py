@@ -1,4 +1,4 @@
-"""Do covariances describe the errors of real loop closures? The numbers, from what stage `calibrate` left."""
+"""Numbers on loop closures: do the methods' covariances describe their errors? From the tables of stage calibrate."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,131 +9,140 @@ import pandas as pd
 from scipy import linalg, stats
 
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
+from pointnetkl.registration.covariance.catalogue import GT, PAIR, SPLIT, TRUTH
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
 from pointnetkl.slam.closures.tables import BUILT, CLOSURES, DESCRIPTION, PLACED, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
-_OF_PLACED = ("nees", "nees_median", "coverage_95", "inflation")
-_GOAL = 0.95  # of the errors, inside the ellipse that should hold so many
 FIRM = "below 0.1 m"  # the class of submaps that the ground holds best
-_HOLDS_M = {FIRM: (0.0, 0.1), "0.1 to 1 m": (0.1, 1.0), "above 1 m": (1.0, np.inf)}
-_MOST_M2, _LEAST_M2, _HALVINGS = 1e4, 1e-8, 24  # of a search for the variance to add
+_SIGMAS_M = {FIRM: (0.0, 0.1), "0.1 to 1 m": (0.1, 1.0), "above 1 m": (1.0, np.inf)}
+_PLACED_MEASURES = ("nees", "nees_median", "coverage_95", "inflation")
+_GOAL = 0.95  # share of the errors that the 95 % ellipses should hold
+_MOST_M2, _LEAST_M2, _HALVINGS = 1e4, 1e-8, 24  # bounds and steps of the search for the variance to add
+
+Errors = tuple[np.ndarray, np.ndarray]  # errors (r, M), and the covariance (r, M, M) of each
 
 
 @dataclass(frozen=True)
 class Closures:
-    """A test survey's registrations, and the covariances (M, M) that every method gives their submaps."""
+    """A test survey's registrations, and each method's covariances (M, M) of their submaps."""
 
     rows: pd.DataFrame  # schema CLOSURES, of every draw of the graph
     covariances: Mapping[str, Mapping[int, np.ndarray]]  # by method and submap
 
     @property
-    def against(self) -> str:
-        """Say what errors are told from: the truth, or GT where that is not known."""
-        return "gt" if self.rows[f"{BUILT}_x_m"].isna().any() else "truth"
+    def reference(self) -> str:
+        """Return what the errors are measured against: the truth, or GT where the truth is not known."""
+        return GT if self.rows[f"{BUILT}_x_m"].isna().any() else TRUTH
 
     def errors(self, kind: str = BUILT) -> np.ndarray:
         """Return the errors (r, M) of the registrations, in their submaps' frames.
 
-        BUILT: of the loop closures, as the graph has them (against GT where the truth is not known). PLACED: of
-        registrations from the same starts with every submap where it truly lies. TO_GT: of the first, against GT.
+        BUILT: the loop closures' errors as the graph has them (against GT where the truth is not known). TO_GT: the
+        same against GT. PLACED: errors of registrations from the same starts, with every submap at its true pose.
         """
-        kind = TO_GT if kind == BUILT and self.against == "gt" else kind
+        kind = TO_GT if kind == BUILT and self.reference == GT else kind
         units = [unit for unit in ("x_m", "y_m", "w_rad") if f"{kind}_{unit}" in self.rows]
         return self.rows[[f"{kind}_{unit}" for unit in units]].to_numpy(np.float64)
 
-    def judged(self, method: str, kind: str = BUILT) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors (r, M) that there are, of submaps that a method has a covariance for, and those."""
-        known, errors = self.covariances[method], self.errors(kind)
-        there = self.rows["submap"].isin(list(known)).to_numpy() & np.isfinite(errors).all(axis=1)
-        q = [known[number] for number in self.rows["submap"][there]]
-        return errors[there], np.array(q).reshape(-1, *2 * [errors.shape[1]])
+    def described(self, method: str, kind: str = BUILT) -> Errors:
+        """Return the known errors of the submaps for which a method has a covariance, and these covariances."""
+        covariances, errors = self.covariances[method], self.errors(kind)
+        rows = self.rows["submap"].isin(list(covariances)).to_numpy() & np.isfinite(errors).all(axis=1)
+        q = [covariances[number] for number in self.rows["submap"][rows]]
+        return errors[rows], np.array(q).reshape(-1, *2 * [errors.shape[1]])
 
 
-def read(folders: Folders, name: str, labels: Labels, test: Test) -> Closures:
-    """Read a test survey's loop closures, and bring every method's covariances together."""
-    rows = artifacts.read_table(folders.data / f"closures/{name}.parquet", CLOSURES, also=YAW)
-    path = folders.data / f"closures/{name}_covariances.parquet"
-    numbers = labels.submap.tolist()
-    every = {GOLD: labels.q, **test.covariances}
-    covariances = {method: dict(zip(numbers, q, strict=True)) for method, q in every.items()}
-    for method, of in artifacts.read_table(path, table.SCHEMA, also=table.YAW).groupby("method", sort=False):
-        covariances[str(method)] = dict(zip(of["submap"].tolist(), table.to_matrices(of), strict=True))
+def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
+    """Read a test survey's loop closures, and bring all methods' covariances together.
+
+    Raises:
+        ArtifactError: a table is missing or damaged.
+    """
+    rows = artifacts.read_table(folders.data / f"closures/{survey}.parquet", CLOSURES, also=YAW)
+    path = folders.data / f"closures/{survey}_covariances.parquet"
+    submaps = labels.submap.tolist()
+    by_method = {GOLD: labels.q, **test.covariances}
+    covariances = {method: dict(zip(submaps, q, strict=True)) for method, q in by_method.items()}
+    measured = artifacts.read_table(path, table.SCHEMA, also=table.YAW)
+    for method, own in measured.groupby("method", sort=False):
+        covariances[str(method)] = dict(zip(own["submap"].tolist(), table.to_matrices(own), strict=True))
     return Closures(rows, covariances)
 
 
-def calibrations(every: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
-    """Return by survey and method how well the covariances describe the errors of all draws' registrations.
+def calibrations(surveys: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
+    """Return, by survey and method, how well the covariances describe the registrations' errors of all draws.
 
-    nees and coverages are as gaussian.calibration returns them; nees_median, which heavy tails leave alone, is the
-    median of e^T Q^-1 e over that of a chi-squared: 1 is right. `placed_*`: the same of registrations with every submap
-    where it truly lies. inflation: the factor, added_m2: the variance added in x and y, with which Q's 95 % ellipses
-    hold 95 %; and the coverage here with what was so found on the other test surveys.
+    nees and the coverages are as `gaussian.calibration` returns them. nees_median is the median of e^T Q^-1 e over that
+    of a chi-squared variable, so that heavy tails do not move it; 1 is right. placed_* are the same measures of
+    registrations with every submap at its true pose. inflation is the factor on Q, and added_m2 the variance added in x
+    and y, with which the 95 % ellipses hold 95 % of the errors. coverage_95_inflated and coverage_95_added are this
+    survey's coverage with the factor and the variance that the other test surveys need.
     """
-    return {name: dict(_by_method(name, every)) for name in every}
+    return {survey: dict(_by_method(survey, surveys)) for survey in surveys}
 
 
-def ratios(of: Closures, method: str) -> pd.DataFrame:
-    """Return a row per submap of draw 0: by how much its Q_ij is wider than a method's Q_i in x, y, and its terrain.
+def ratios(closures: Closures, method: str) -> pd.DataFrame:
+    """Return by how much Q_ij is wider than a method's Q_i in x and y, with the terrain: a row per submap of draw 0.
 
-    `ratio` is of root mean squares, sqrt(tr Q_ij / tr Q_i); `worst_ratio` of standard deviations in the direction in
-    which that is largest. Determinants tell nothing: a submap's error on its targets hardly depends on the start, so
-    that Q_ij is almost of rank one.
+    `ratio` compares root mean squares, sqrt(tr Q_ij / tr Q_i); `worst_ratio` compares standard deviations in the
+    direction where Q_i falls shortest. Determinants would mislead: a submap's error on its targets hardly depends on
+    the start, so Q_ij is almost of rank one.
     """
-    mine, pair = of.covariances.get(method, {}), of.covariances.get(PAIR, {})
-    rows = of.rows[(of.rows["draw"] == 0) & of.rows["submap"].isin(set(mine) & set(pair))]
-    both = [(pair[number][:2, :2], mine[number][:2, :2]) for number in rows["submap"]]
+    single, pair = closures.covariances.get(method, {}), closures.covariances.get(PAIR, {})
+    rows = closures.rows[(closures.rows["draw"] == 0) & closures.rows["submap"].isin(set(single) & set(pair))]
+    both = [(pair[number][:2, :2], single[number][:2, :2]) for number in rows["submap"]]
     size = np.array([np.trace(q_ij) / np.trace(q_i) for q_ij, q_i in both])
     worst = np.array([linalg.eigh(q_ij, q_i, eigvals_only=True)[-1] for q_ij, q_i in both])
     return rows[["submap", *DESCRIPTION]].assign(ratio=np.sqrt(size), worst_ratio=np.sqrt(worst))
 
 
-def sizes(of: Closures) -> dict[str, Any]:
-    """Return what a survey's registrations are like, and how large their errors are."""
-    rows = of.rows
+def sizes(closures: Closures) -> dict[str, Any]:
+    """Return the number of a survey's registrations, medians of their description, and their errors' size."""
+    rows = closures.rows
     return {
-        "against": of.against if len(rows) else None,
+        "against": closures.reference if len(rows) else None,
         "registrations": len(rows),
         "submaps": int(rows["submap"].nunique()),
         "converged": float(rows["converged"].mean()) if len(rows) else None,
         **{name: _median(rows[name].to_numpy()) for name in DESCRIPTION},
-        **{f"{kind}_m": _rms(of.errors(kind)) for kind in (BUILT, TO_GT, PLACED)},
+        **{f"{kind}_m": _rms(closures.errors(kind)) for kind in (BUILT, TO_GT, PLACED)},
     }
 
 
-def dependence(of: Closures) -> dict[str, dict[str, Any]]:
-    """Return by method how Q_ij / Q_i depends on terrain: its median, and Spearman's correlations with it."""
-    return {method: _dependence(ratios(of, method)) for method in (GOLD, SPLIT) if method in of.covariances}
+def dependence(closures: Closures) -> dict[str, dict[str, Any]]:
+    """Return by method the medians of `ratios`, and Spearman's correlations of `ratio` with the terrain."""
+    return {method: _dependence(ratios(closures, method)) for method in (GOLD, SPLIT) if method in closures.covariances}
 
 
-def by_hold(of: Closures) -> dict[str, dict[str, Any]]:
-    """Return, by how well Q_ij says that the ground holds a submap, how large the errors and their causes are, medians.
+def by_hold(closures: Closures) -> dict[str, dict[str, Any]]:
+    """Return medians of the errors and of their causes, by how well the ground holds a submap.
 
-    The classes are of the root of Q_ij's trace in x, y.
+    The classes are of the root of Q_ij's trace in x and y.
     """
-    pair = of.covariances.get(PAIR, {})
-    sigma = of.rows["submap"].map({number: float(np.sqrt(np.trace(q[:2, :2]))) for number, q in pair.items()})
-    found = {}
-    for name, (low, high) in _HOLDS_M.items():
-        which = ((sigma >= low) & (sigma < high)).to_numpy(bool)
-        errors = {f"{kind}_m": np.hypot(*of.errors(kind)[which, :2].T) for kind in (BUILT, PLACED)}
-        causes = {cause: of.rows[cause].to_numpy()[which] for cause in ("given_m", "heading_m")}
-        if which.any():
-            middles = {key: _median(values) for key, values in (errors | causes).items()}
-            found[name] = {"registrations": int(which.sum()), **middles}
-    return found
+    pair = closures.covariances.get(PAIR, {})
+    sigma = closures.rows["submap"].map({number: float(np.sqrt(np.trace(q[:2, :2]))) for number, q in pair.items()})
+    classes = {name: ((sigma >= low) & (sigma < high)).to_numpy(bool) for name, (low, high) in _SIGMAS_M.items()}
+    return {name: _medians(closures, rows) for name, rows in classes.items() if rows.any()}
+
+
+def _medians(closures: Closures, rows: np.ndarray) -> dict[str, Any]:
+    errors = {f"{kind}_m": np.hypot(*closures.errors(kind)[rows, :2].T) for kind in (BUILT, PLACED)}
+    causes = {cause: closures.rows[cause].to_numpy()[rows] for cause in ("given_m", "heading_m")}
+    medians = {name: _median(values) for name, values in (errors | causes).items()}
+    return {"registrations": int(rows.sum()), **medians}
 
 
 def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None
 
 
-def _dependence(found: pd.DataFrame) -> dict[str, Any]:
-    middles = {name: _median(found[name].to_numpy()) for name in ("ratio", "worst_ratio")}
-    return {**middles, **{n: _rank_correlation(found[n], found["ratio"]) for n in DESCRIPTION[:3]}}
+def _dependence(by_submap: pd.DataFrame) -> dict[str, Any]:
+    medians = {name: _median(by_submap[name].to_numpy()) for name in ("ratio", "worst_ratio")}
+    terrain = DESCRIPTION[:3]
+    return {**medians, **{name: _rank_correlation(by_submap[name], by_submap["ratio"]) for name in terrain}}
 
 
 def _rank_correlation(a: pd.Series, b: pd.Series) -> float | None:
@@ -142,37 +151,40 @@ def _rank_correlation(a: pd.Series, b: pd.Series) -> float | None:
     return float(stats.spearmanr(a, b).statistic)
 
 
-def _by_method(name: str, every: Mapping[str, Closures]) -> Iterator[tuple[str, dict[str, Any]]]:
-    for method in every[name].covariances:
-        errors, q = every[name].judged(method)
+def _by_method(survey: str, surveys: Mapping[str, Closures]) -> Iterator[tuple[str, dict[str, Any]]]:
+    closures = surveys[survey]
+    others = [other for name, other in surveys.items() if name != survey]
+    for method in closures.covariances:
+        errors, q = closures.described(method)
         if len(errors):
-            others = [of.judged(method) for other, of in every.items() if other != name and method in of.covariances]
-            placed = _told(*every[name].judged(method, PLACED))
+            placed = _calibration(*closures.described(method, PLACED))
+            elsewhere = [other.described(method) for other in others if method in other.covariances]
             yield (
                 method,
                 {
-                    **_told(errors, q),
-                    **{f"placed_{key}": placed.get(key) for key in _OF_PLACED},
-                    **_widened(errors, q, [each for each in others if len(each[0])]),
+                    **_calibration(errors, q),
+                    **{f"placed_{name}": placed.get(name) for name in _PLACED_MEASURES},
+                    **_corrections(errors, q, [each for each in elsewhere if len(each[0])]),
                 },
             )
 
 
-def _told(errors: np.ndarray, q: np.ndarray) -> dict[str, float]:
+def _calibration(errors: np.ndarray, q: np.ndarray) -> dict[str, float]:
     if not len(errors):
         return {}
-    middle = float(np.median(_squared(errors, q)) / stats.chi2.ppf(0.5, errors.shape[1]))
-    return {**gaussian.calibration(errors[:, None], q), "nees_median": middle, "inflation": _inflation(errors, q)}
+    median = float(np.median(_squared(errors, q)) / stats.chi2.ppf(0.5, errors.shape[1]))
+    return {**gaussian.calibration(errors[:, None], q), "nees_median": median, "inflation": _inflation(errors, q)}
 
 
-def _widened(errors: np.ndarray, q: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
-    found: dict[str, Any] = {"added_m2": _added(errors, q)}
-    if others:
-        elsewhere = [np.concatenate(each) for each in zip(*others, strict=True)]
-        factor, variance = _inflation(*elsewhere), _added(*elsewhere)
-        found["coverage_95_inflated"] = _inside(errors, factor * q)
-        found["coverage_95_added"] = None if variance is None else _inside(errors, _wider(q, variance))
-    return found
+def _corrections(errors: np.ndarray, q: np.ndarray, elsewhere: Sequence[Errors]) -> dict[str, Any]:
+    """Return the variance to add to Q here, and the coverage with what the other surveys' errors ask for."""
+    numbers: dict[str, Any] = {"added_m2": _added(errors, q)}
+    if elsewhere:
+        others = [np.concatenate(parts) for parts in zip(*elsewhere, strict=True)]
+        factor, variance = _inflation(*others), _added(*others)
+        numbers["coverage_95_inflated"] = _coverage(errors, factor * q)
+        numbers["coverage_95_added"] = None if variance is None else _coverage(errors, _widened(q, variance))
+    return numbers
 
 
 def _inflation(errors: np.ndarray, q: np.ndarray) -> float:
@@ -180,23 +192,26 @@ def _inflation(errors: np.ndarray, q: np.ndarray) -> float:
 
 
 def _added(errors: np.ndarray, q: np.ndarray) -> float | None:
-    """Return the least variance, to 0.1 %, None where none is enough (yaw, to which nothing is added, is too sure)."""
-    if _inside(errors, q) >= _GOAL:
+    """Return the least variance to add, to 0.1 %.
+
+    None where none is enough: nothing is added to yaw, whose own variance may be too small.
+    """
+    if _coverage(errors, q) >= _GOAL:
         return 0.0
-    if _inside(errors, _wider(q, _MOST_M2)) < _GOAL:
+    if _coverage(errors, _widened(q, _MOST_M2)) < _GOAL:
         return None
     low, high = np.log(_LEAST_M2), np.log(_MOST_M2)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if _inside(errors, _wider(q, np.exp(middle))) >= _GOAL else (middle, high)
+        low, high = (low, middle) if _coverage(errors, _widened(q, np.exp(middle))) >= _GOAL else (middle, high)
     return float(np.exp(high))
 
 
-def _wider(q: np.ndarray, variance: float) -> np.ndarray:
+def _widened(q: np.ndarray, variance: float) -> np.ndarray:
     return np.asarray(q + variance * np.diag([1.0, 1.0, 0.0][: q.shape[-1]]))
 
 
-def _inside(errors: np.ndarray, q: np.ndarray) -> float:
+def _coverage(errors: np.ndarray, q: np.ndarray) -> float:
     return float(np.mean(_squared(errors, q) <= stats.chi2.ppf(_GOAL, errors.shape[1])))
 
 
@@ -205,5 +220,5 @@ def _squared(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def _rms(errors: np.ndarray) -> float | None:
-    known = errors[np.isfinite(errors).all(axis=1), :2]
-    return float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else None
+    finite = errors[np.isfinite(errors).all(axis=1), :2]
+    return float(np.sqrt((finite**2).sum(axis=1).mean())) if len(finite) else None

@@ -1,32 +1,33 @@
-"""Tables of how covariances describe loop closures: by method, and by survey what the loop closures are like."""
-
-from collections.abc import Mapping
-from typing import Any
+"""Tables of how covariances describe loop closures: by method, and what each survey's loop closures are like."""
 
 from pointnetkl.reporting.covariances.tables import COVERAGES
-from pointnetkl.reporting.text_table import Block, block
-
-Numbers = Mapping[str, Any]
+from pointnetkl.reporting.text_table import Block, Numbers, block
 
 
 def every(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
-    """Return the tables by the stem of their files; `numbers` as the report has them."""
-    lc, held_out, sizes = (numbers[name] for name in ("calibration_lc", "calibration", "closures"))
-    surveys = [_by_survey(sizes, datasets), _by_hold(numbers["closures_by_hold"]), _ratios(numbers["closure_ratios"])]
-    return {"calibration_lc": [_by_method(lc, held_out, sizes, datasets), *surveys]}
+    """Return the tables by the stem of their files; `numbers` are the report's."""
+    sizes = numbers["closures"]
+    return {
+        "calibration_lc": [
+            _by_method(numbers["calibration_lc"], numbers["calibration"], sizes, datasets),
+            _by_survey(sizes, datasets),
+            _by_hold(numbers["closures_by_hold"]),
+            _ratios(numbers["closure_ratios"]),
+        ]
+    }
 
 
-def _by_method(lc: Numbers, held_out: Numbers, sizes: Numbers, datasets: Numbers) -> Block:
+def _by_method(calibrations: Numbers, held_out: Numbers, sizes: Numbers, datasets: Numbers) -> Block:
     rows = [
         {
             "survey": survey,
             "simulated": datasets[survey]["simulated"],
             "against": sizes[survey]["against"],
             "method": method,
-            **{f"held_out_{key}": held_out[survey].get(method, {}).get(key) for key in ("nees", "coverage_95")},
+            **{f"held_out_{name}": held_out[survey].get(method, {}).get(name) for name in ("nees", "coverage_95")},
             **values,
         }
-        for survey, methods in lc.items()
+        for survey, methods in calibrations.items()
         for method, values in methods.items()
     ]
     columns = ["survey", "simulated", "against", "method", "nees", "nees_median", *COVERAGES]
@@ -37,7 +38,7 @@ def _by_method(lc: Numbers, held_out: Numbers, sizes: Numbers, datasets: Numbers
 
 
 def _by_survey(sizes: Numbers, datasets: Numbers) -> Block:
-    rows = [{"survey": name, "simulated": datasets[name]["simulated"], **of} for name, of in sizes.items()]
+    rows = [{"survey": name, "simulated": datasets[name]["simulated"], **size} for name, size in sizes.items()]
     columns = ["survey", "simulated", "against", "registrations", "submaps", "converged", "overlap", "patchiness"]
     columns += ["outside", "error_m", "gt_error_m", "placed_error_m", "given_m", "heading_m"]
     return block("The loop closures: medians, but errors, which are root mean squares in x, y.", rows, columns)
@@ -45,9 +46,9 @@ def _by_survey(sizes: Numbers, datasets: Numbers) -> Block:
 
 def _by_hold(holds: Numbers) -> Block:
     rows = [
-        {"survey": survey, "sigma_of_Q_ij": hold, **values}
+        {"survey": survey, "sigma_of_Q_ij": sigma, **medians}
         for survey, classes in holds.items()
-        for hold, values in classes.items()
+        for sigma, medians in classes.items()
     ]
     columns = ["survey", "sigma_of_Q_ij", "registrations", "error_m", "placed_error_m", "given_m", "heading_m"]
     return block("Errors and their causes by how well the common ground holds a submap, medians.", rows, columns)

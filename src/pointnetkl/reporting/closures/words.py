@@ -1,18 +1,18 @@
-"""The page's words on loop closures: does Q, made from one submap, tell the truth of them, and what follows."""
+"""The page's section on loop closures: does Q, made from one submap, describe their errors, and what follows?"""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
+from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT, TRUTH
 from pointnetkl.reporting.closures.numbers import FIRM
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.reporting.text_table import Block, Numbers, cell
+from pointnetkl.reporting.text_table import Blocks, Numbers, cell
 
 _GOAL = 0.95
-_NAMED = {GOLD: "labels", SPLIT: "labels of copy split", PAIR: "Q_ij"}
+_NAMES = {GOLD: "labels", SPLIT: "labels of copy split", PAIR: "Q_ij"}
 
 
-def section(shown: Mapping[str, Sequence[Block]], numbers: Numbers, copies: Mapping[str, str]) -> Section:
+def section(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> Section:
     """Return the section around the tables `calibration_lc`.
 
     `numbers` are the report's, and `copies` is the label.copy of each survey's labels.
@@ -21,48 +21,48 @@ def section(shown: Mapping[str, Sequence[Block]], numbers: Numbers, copies: Mapp
     return Section(
         "Is the covariance right on real loop closures?",
         (
-            "Q_i is made from submap S_i alone, and the graph takes it as the covariance of registering S_i onto the"
-            " earlier submaps that it returns to: the paper's central assumption. Here it meets those registrations'"
-            " errors, of every draw of the graph, against the truth (against: gt where that is not known). nees and"
-            " coverage_95 are as under Calibration; nees_median is the median of eᵀ Q⁻¹ e over that of a chi-squared"
-            " variable, which heavy tails leave alone: 1 is right.",
-            "A loop closure errs because its registration does, and because the map it is registered to, and the pose"
-            " it starts from, are of GT, which errs too. placed_* is of registrations from the same starts with every"
-            " submap where it truly lies (where GT has it, if that is not known): only the registration errs."
-            " given_m is how far off GT has S_i as seen from its targets: over flat ground nothing"
-            " corrects that, and no Q made from terrain can know it. heading_m is the error that GT's yaw alone makes"
-            " of it, by its lever to the common ground.",
-            "An error is a registration's, the mean of its edges'. The graph takes each edge, which errs by where GT"
-            " has that target among the others too: there every Q falls shorter than here. And Q is judged as it was"
-            " made, while stage slam adds slam.floor_m2 to it.",
-            "split is a label of copy split: two halves of one pass, from alternate pings. pair is Q_ij, from S_i and"
-            " its actual targets, where all truly lie, without added noise, because two passes have their own. It is"
-            " an oracle, which has seen the truth, and its placed_* are circular: the same registrations from other"
-            " starts, that mostly end at the same error. So Q_ij is little more than the square of that error, of which"
-            " size and direction tell, and the short axis nothing: ratio is sqrt(tr Q_ij / tr Q_i), worst_ratio that of"
-            " the standard deviations in the direction in which Q_i falls shortest. Slopes of S_i that its targets do"
-            " not have (outside) count in Q_i all the same. network_overlap is network asked about the points of S_i"
-            " that lie over its targets alone.",
+            "Q_i is made from submap S_i alone. The graph takes it as the covariance of registering S_i with the"
+            " earlier submaps that the vehicle returns to: this is the paper's central assumption. Here Q_i is compared"
+            " with the errors of those registrations, over all draws of the graph, against the truth (column against:"
+            " gt where the truth is not known). nees and coverage_95 are as under Calibration. nees_median is the"
+            " median of eᵀ Q⁻¹ e over that of a chi-squared variable, so that heavy tails do not move it: 1 is right.",
+            "A loop closure has an error because its registration has one, and also because its map and its start come"
+            " from GT, which has errors too. placed_* is of registrations from the same starts with every submap at its"
+            " true pose (at GT's pose where the truth is not known), so that only the registration contributes."
+            " given_m is the error of GT's pose of S_i as seen from its targets: over flat ground no registration"
+            " corrects it, and no Q made from terrain can know it. heading_m is the error that GT's yaw alone causes"
+            " over the lever to the common ground.",
+            "A registration's error here is the mean of its edges' errors. The graph takes each edge by itself, and"
+            " GT's errors of the single targets come on top of it, so every Q falls shorter there than here. Q is"
+            " judged as it was made; stage slam adds slam.floor_m2 to it.",
+            "split is a label by copy split: two halves of one pass, from alternate pings. pair is Q_ij, from S_i and"
+            " its actual targets at their true poses, without added noise, because two passes have their own. Q_ij is"
+            " an oracle that has seen the truth, and its placed_* are circular: they are the same registrations from"
+            " other starts, and most of these end at the same error. So Q_ij is little more than the square of that"
+            " error: its size and direction mean something, its short axis nothing. ratio is sqrt(tr Q_ij / tr Q_i),"
+            " and worst_ratio compares the standard deviations in the direction where Q_i falls shortest. Slopes of"
+            " S_i that its targets do not have (outside) count in Q_i all the same. network_overlap is network asked"
+            " about only those points of S_i that lie over its targets.",
             *_shares(sizes),
             *_causes(numbers["closures_by_hold"]),
             *_coverages(calibrations, sizes),
             *_advice(calibrations, sizes, copies),
-            *_widened(calibrations, sizes),
+            *_inflated(calibrations, sizes),
         ),
         shown["calibration_lc"],
         {
-            "calibration_lc": "NEES (beyond the axis: at its border) and coverage of the 95 % ellipses, on loop"
-            " closures beside what held-out errors of the labels' own kind promise. Dotted: right.",
+            "calibration_lc": "NEES (values beyond the axis at its border) and coverage of the 95 % ellipses on loop"
+            " closures, beside held-out errors of the labels' own kind. Dotted: right.",
             "closure_ratios": "Q_ij against Q_i: a dot for each submap that closes a loop.",
-            "closure_sigmas": "Errors found against errors predicted, in bins of equally many registrations.",
+            "closure_sigmas": "Errors against the size that Q predicts, in bins of equally many registrations.",
         },
         (
-            "inflation is the factor on Q, added_m2 the variance added to it, with which its 95 % ellipses hold 95 % of"
-            " this survey's errors; coverage_95_inflated and _added are of this survey with what the other test"
-            " surveys ask for: only where they are near 0.95 does such a correction carry over. placed_inflation"
-            " leaves GT's errors out.",
-            "Registrations of one submap in several draws, and of neighbours, share ground and map: they count as"
-            " many, and tell less. placed_* and Q_ij take the targets of the first draw that registers the submap.",
+            "inflation is the factor on Q, and added_m2 the variance added to it, with which its 95 % ellipses hold"
+            " 95 % of this survey's errors. coverage_95_inflated and coverage_95_added are this survey's coverage with"
+            " what the other test surveys need: such a correction carries over only where they are near 0.95."
+            " placed_inflation leaves GT's errors out.",
+            "Registrations of one submap in several draws, and of neighbours, share ground and map: they count as many"
+            " but tell less. placed_* and Q_ij use the targets of the first draw that registers the submap.",
         ),
     )
 
@@ -72,7 +72,7 @@ def _shares(sizes: Numbers) -> list[str]:
         f"{survey} {100 * (size['placed_error_m'] / size['error_m']) ** 2:.0f} %"
         f" ({cell(size['placed_error_m'], 2)} m of {cell(size['error_m'], 2)} m)"
         for survey, size in sizes.items()
-        if size["error_m"] and size["placed_error_m"] and size["against"] == "truth"
+        if size["error_m"] and size["placed_error_m"] and size["against"] == TRUTH
     ]
     if not shares:
         return []
@@ -96,8 +96,8 @@ def _coverages(calibrations: Numbers, sizes: Numbers) -> list[str]:
     for survey, methods in calibrations.items():
         coverages = [
             f"{name} {_percent(methods[method]['coverage_95'])}"
-            f"{_placed(methods[method]) if method != PAIR and sizes[survey]['against'] == 'truth' else ''}"
-            for method, name in _NAMED.items()
+            f"{_placed(methods[method]) if method != PAIR and sizes[survey]['against'] == TRUTH else ''}"
+            for method, name in _NAMES.items()
             if method in methods
         ]
         surveys += [f"{survey}: {', '.join(coverages)}"] if methods else []
@@ -111,7 +111,7 @@ def _placed(calibration: Numbers) -> str:
 
 
 def _advice(calibrations: Numbers, sizes: Numbers, copies: Mapping[str, str]) -> list[str]:
-    """Return which copy's labels are nearer to the truth of registrations, by the coverage of the placed ones.
+    """Return which copy's labels describe registration errors better, by the coverage of placed registrations.
 
     Where the truth is not known, the submaps were placed where GT has them. GT was made with the labels, so it cannot
     judge them.
@@ -119,26 +119,26 @@ def _advice(calibrations: Numbers, sizes: Numbers, copies: Mapping[str, str]) ->
     misses = {}
     for survey, methods in calibrations.items():
         placed = [methods.get(method, {}).get("placed_coverage_95") for method in (GOLD, SPLIT)]
-        if sizes[survey]["against"] == "truth" and copies.get(survey) == "same" and None not in placed:
+        if sizes[survey]["against"] == TRUTH and copies.get(survey) == "same" and None not in placed:
             misses[survey] = [abs(coverage - _GOAL) for coverage in placed]
     if not misses:
         return []
     better = [survey for survey, (gold, split) in misses.items() if split < gold]
     if len(better) == len(misses):
-        said = "on every survey here, those of copy split: take label.copy: split where Q goes into a graph"
+        advice = "on every survey here, those of copy split: take label.copy: split where Q goes into a graph"
     elif better:
-        said = f"on {', '.join(better)} those of copy split, elsewhere those of copy same: no default follows"
+        advice = f"on {', '.join(better)} those of copy split, elsewhere those of copy same: no default follows"
     else:
-        said = "on every survey here, those of copy same: the paper's labels stand"
-    return [f"What follows: labels nearer to the truth of registrations are, {said}."]
+        advice = "on every survey here, those of copy same: the paper's labels stand"
+    return [f"What follows: the labels that describe registration errors better are, {advice}."]
 
 
-def _widened(calibrations: Numbers, sizes: Numbers) -> list[str]:
+def _inflated(calibrations: Numbers, sizes: Numbers) -> list[str]:
     """Return what becomes of the labels' coverage with the factor that other surveys ask for."""
     changes = [
-        f"{survey}, {_NAMED[method]}: {_percent(values['coverage_95'])} becomes"
+        f"{survey}, {_NAMES[method]}: {_percent(values['coverage_95'])} becomes"
         f" {_percent(values['coverage_95_inflated'])} (its own factor would be {cell(values['inflation'], 2)}"
-        f"{_without_gt(values) if sizes[survey]['against'] == 'truth' else ''})"
+        f"{_without_gt(values) if sizes[survey]['against'] == TRUTH else ''})"
         for survey, methods in calibrations.items()
         for method, values in methods.items()
         if method in (GOLD, SPLIT) and "coverage_95_inflated" in values

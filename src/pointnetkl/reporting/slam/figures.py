@@ -23,7 +23,7 @@ _FIGURES = ("trajectories", "bathymetry", "closures", "error_along_track", "slam
 _MOST_POINTS = 400_000  # of a map: more only take time, its cells hold dozens each
 
 
-def figures(
+def every(
     surveys: Sequence[cases.Survey], spacing_m: Mapping[str, float], numbers: Mapping[str, Any]
 ) -> Iterator[tuple[str, Figure]]:
     """Yield the figures of the test surveys' solved graphs, by name.
