@@ -12,7 +12,7 @@ from pointnetkl.segmentation import Segmentation
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.surveys.survey import SOUNDINGS
 
-SETTINGS = readers.Settings(0, "auto")
+SETTINGS = readers.Settings("auto")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 def ingest(folder: Path, *changes: str) -> subprocess.CompletedProcess[str]:
     """Run the stage's script on the raw pings and the truth of a folder."""
     outliers = "{sigmas: 8.0, depth_share: 0.05}"
-    (folder / "params.yaml").write_text(f"ingest: {{seed: 0, utm_zone: auto, outliers: {outliers}}}\n")
+    (folder / "params.yaml").write_text(f"ingest: {{utm_zone: auto, outliers: {outliers}}}\n")
     command = [sys.executable, ROOT / "pipeline/ingest.py", "mine", "--params", folder / "params.yaml"]
     command += [
         "--raw",
@@ -74,7 +74,7 @@ def test_every_table_says_whence_it_came(folder: Path):
         assert metadata["origin"] == [5e5, 6e6]
         assert metadata["report"]["pings"] == 20
         outliers = {"sigmas": 8.0, "depth_share": 0.05}
-        assert metadata["params"] == {"seed": 0, "utm_zone": "auto", "sbet_clock": "gps", "outliers": outliers}
+        assert metadata["params"] == {"utm_zone": "auto", "sbet_clock": "gps", "outliers": outliers}
 
 
 def test_the_truth_comes_into_the_map_frame(folder: Path):
@@ -119,7 +119,7 @@ def test_what_cannot_be_read_ends_in_one_sentence(folder: Path):
 
 
 def test_a_zone_that_is_none_is_refused_before_anything_is_read(tmp_path: Path):
-    (tmp_path / "params.yaml").write_text("ingest: {seed: 0, utm_zone: 33N}\n")
+    (tmp_path / "params.yaml").write_text("ingest: {utm_zone: 33N}\n")
     with pytest.raises(parameters.SettingsError, match="utm_zone is '33N', must be auto or a code"):
         parameters.read(tmp_path / "params.yaml", "ingest", readers.Settings)
 
@@ -127,6 +127,6 @@ def test_a_zone_that_is_none_is_refused_before_anything_is_read(tmp_path: Path):
 def test_what_is_projected_is_read_without_the_libraries_that_it_does_not_need(folder: Path):
     heavy = {"pyproj", "GSFU", "torch", "numba", "open3d", "matplotlib"}
     code = "import sys; from pathlib import Path; from pointnetkl import readers\n"
-    code += f"readers.read(Path({str(folder / 'raw.parquet')!r}), readers.Settings(0, 'auto'), lambda part: None)\n"
+    code += f"readers.read(Path({str(folder / 'raw.parquet')!r}), readers.Settings('auto'), lambda part: None)\n"
     code += f"assert not {heavy} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

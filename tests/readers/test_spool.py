@@ -87,13 +87,13 @@ def test_what_is_wrong_with_a_whole_file_is_told_before_the_damage_that_fills_th
 
 def test_nothing_is_left_beside_a_survey_that_was_read_or_refused(lines: Path, tmp_path: Path):
     scratch = tmp_path / "scratch"
-    readers.read(lines / "line_1.all", readers.Settings(0, "auto"), lambda part: None, scratch)
+    readers.read(lines / "line_1.all", readers.Settings("auto"), lambda part: None, scratch)
     (lines / "bad.gsf").write_bytes(b"no survey")
     with pytest.raises(SurveyError, match=r"bad\.gsf"):
-        readers.read(lines / "bad.gsf", readers.Settings(0, "auto"), lambda part: None, scratch)
+        readers.read(lines / "bad.gsf", readers.Settings("auto"), lambda part: None, scratch)
     assert os.listdir(scratch) == []
     (scratch / ".spool-killed").mkdir()
-    readers.read(lines / "line_1.all", readers.Settings(0, "auto"), lambda part: None, scratch)
+    readers.read(lines / "line_1.all", readers.Settings("auto"), lambda part: None, scratch)
     assert os.listdir(scratch) == []
 
 

@@ -103,7 +103,7 @@ def test_stored_clouds_that_do_not_fit_together_are_refused(points: np.ndarray):
 @pytest.mark.parametrize("share", [0.0, -0.01, 2.0])
 def test_a_voxel_that_is_no_share_of_the_sphere_is_refused(share: float):
     with pytest.raises(ValueError, match="voxel is"):
-        voxel.Settings(0, share)
+        voxel.Settings(share)
 
 
 def test_the_stage_makes_a_cloud_of_every_submap(tmp_path: Path):
@@ -112,7 +112,7 @@ def test_the_stage_makes_a_cloud_of_every_submap(tmp_path: Path):
         segmentation.segment, "small", one.pings, [one.soundings], 100.0, 4.0, segmentation.Settings(0, 30.0)
     )
     artifacts.write_table(tmp_path / "s.parquet", submap.to_table(found.submaps), submap.POINTS, {})
-    (tmp_path / "params.yaml").write_text("voxelise: {seed: 0, voxel: 0.01}\n")
+    (tmp_path / "params.yaml").write_text("voxelise: {voxel: 0.01}\n")
     script = [sys.executable, ROOT / "pipeline/voxelise.py", "small", "--submaps", "s.parquet", "--clouds", "c.npz"]
     done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -130,7 +130,7 @@ def test_a_file_that_is_no_parameter_file_is_one_sentence(tmp_path: Path):
             "params.yaml: s.max_gap_m is -3.0, must be above zero",
         ),
         (segmentation.Settings, {"seed": -1, "max_gap_m": 3}, "params.yaml: s.seed is -1, must be 0 or above"),
-        (voxel.Settings, {"seed": 0, "voxel": 0}, "params.yaml: s.voxel is 0, must be between 0.0001 and 1"),
+        (voxel.Settings, {"voxel": 0}, "params.yaml: s.voxel is 0, must be between 0.0001 and 1"),
         (
             study.StudySurvey,
             {"group": "test", "raw": "a", "truth": "b", "submap_length_m": 5, "point_spacing_m": 3, "label_runs": 1},

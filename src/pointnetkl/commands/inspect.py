@@ -103,7 +103,7 @@ def _settings(zone: str) -> Any:
     from pointnetkl import readers
 
     try:
-        return readers.Settings(seed=0, utm_zone=zone)
+        return readers.Settings(utm_zone=zone)
     except ValueError as error:
         raise shared.CommandError(f"--zone: {error}") from error
 

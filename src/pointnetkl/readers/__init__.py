@@ -17,7 +17,7 @@ from pointnetkl.readers.formats import FORMATS
 from pointnetkl.readers.georeference import Take
 from pointnetkl.readers.spool import Spool
 from pointnetkl.surveys.survey import TRAJECTORY, Survey, SurveyError
-from pointnetkl.workflow import artifacts, compute, errors, parameters
+from pointnetkl.workflow import artifacts, compute, errors
 
 __all__ = ["FORMATS", "ReaderError", "Settings", "files", "read", "read_truth"]
 
@@ -37,17 +37,15 @@ class Settings:
     """Parameters of section `ingest`.
 
     Raises:
-        ValueError: the zone is neither auto nor an EPSG code, the clock unknown, or the seed negative.
+        ValueError: the zone is neither auto nor an EPSG code, or the clock is unknown.
     """
 
-    seed: int
     utm_zone: str
     sbet_clock: str = sbet.GPS
     outliers: cleaning.Settings = cleaning.NONE
 
     def __post_init__(self) -> None:
         """Refuse a zone that is not one before any file is read."""
-        parameters.require_seed(self.seed)
         if not re.fullmatch(r"auto|EPSG:\d{4,6}", self.utm_zone):
             raise ValueError(f"utm_zone is {self.utm_zone!r}, must be auto or a code such as EPSG:32633")
         if self.sbet_clock not in (sbet.GPS, sbet.UTC):

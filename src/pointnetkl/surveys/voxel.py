@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 
@@ -18,15 +17,13 @@ class Settings:
     """Parameters of section `voxelise`.
 
     Raises:
-        ValueError: the voxel's edge is not between 0.0001 and 1, or the seed is negative.
+        ValueError: the voxel's edge is not between 0.0001 and 1.
     """
 
-    seed: int  # unused: voxelising draws nothing
     voxel: float  # edge, as a share of the unit sphere's radius
 
     def __post_init__(self) -> None:
         """Refuse a voxel that would hold the whole sphere, or that no integer grid can number."""
-        parameters.require_seed(self.seed)
         if not 1e-4 <= self.voxel <= 1:
             raise ValueError(f"voxel is {self.voxel:g}, must be between 0.0001 and 1: a share of the radius")
 
