@@ -1,14 +1,14 @@
-# `make repro` runs the pipeline, `make test` the tests, `make bench` the benchmarks; each sets up .venv first when it
-# is missing.
+# `make repro` runs the pipeline, `make test` the tests, `make bench` the benchmarks. Each sets up .venv first, where it is
+# missing.
 PYTHON ?= python3
 export DVC_NO_ANALYTICS := 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup repro test bench fuzz lint wheel clean
+.PHONY: help setup repro test test-fast bench fuzz lint wheel clean
 
 help:  ## show this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 setup: .venv/complete  ## install into .venv, and nothing else
 
@@ -20,6 +20,9 @@ repro: .venv/complete  ## run what is out of date, from raw surveys to reports/i
 
 test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among them
 	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+test-fast: .venv/complete  ## the tests that take no more than a few seconds each
+	@$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 bench: .venv/complete  ## registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
 	@$(BIN)/python benchmarks/gicp.py --open3d --json

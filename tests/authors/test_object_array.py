@@ -257,6 +257,7 @@ def test_a_small_file_never_takes_much_memory(tmp_path: Path, content: bytes):
     assert peak < 40 * MEBIBYTE
 
 
+@pytest.mark.filterwarnings("ignore:invalid escape sequence:DeprecationWarning")  # pickletools, on a text in the file
 def test_a_damaged_file_is_read_or_refused_and_nothing_else(tmp_path: Path):
     good = np.frombuffer(authors_arrays.write(tmp_path / "good.npy", authors_arrays.rows(2)).read_bytes(), np.uint8)
     rng = np.random.default_rng(0)

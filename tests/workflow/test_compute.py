@@ -85,7 +85,8 @@ def test_one_worker_is_this_process_and_more_are_others(monkeypatch: pytest.Monk
 
 
 def test_dask_is_imported_for_a_cluster_only():
-    code = "import sys; from pointnetkl.workflow import compute; assert not {'dask', 'distributed', 'tornado'} & {*sys.modules}"
+    imported = "{'dask', 'distributed', 'tornado'} & {*sys.modules}"
+    code = f"import sys; from pointnetkl.workflow import compute; assert not {imported}"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
