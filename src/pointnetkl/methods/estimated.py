@@ -12,8 +12,7 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import catalogue, table
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.workflow.parameters import require_seed
-
-_MOST_RUNS = 1_000_000  # as of a label: their errors are held at once
+from pointnetkl.workflow.study import MOST_RUNS
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,8 @@ class Settings:
         require_seed(self.seed)
         if min(self.sampled_runs, default=3) < 3 or len(set(self.sampled_runs)) < len(self.sampled_runs):
             raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at least 3 and stand once")
-        if max(self.sampled_runs, default=0) > _MOST_RUNS:
-            raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at most {_MOST_RUNS}")
+        if max(self.sampled_runs, default=0) > MOST_RUNS:
+            raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at most {MOST_RUNS}")
 
 
 def methods(

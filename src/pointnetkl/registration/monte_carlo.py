@@ -13,11 +13,11 @@ from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
+from pointnetkl.workflow.study import MOST_RUNS
 
 # Runs between two looks at the relative error. Few look Gaussian before a second basin shows; 100 meet one of 5 % of
 # the runs in 99.4 of 100 labels.
 _BATCH = 100
-_MOST_RUNS = 1_000_000  # of a label: their errors are held at once
 
 
 class MonteCarloError(PointNetKLError):
@@ -51,8 +51,8 @@ class Settings:
         for name in ("noise_sigma_m", "held_out_runs"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, must be 0 or above")
-        if self.held_out_runs > _MOST_RUNS:
-            raise ValueError(f"held_out_runs is {self.held_out_runs}, must be at most {_MOST_RUNS}")
+        if self.held_out_runs > MOST_RUNS:
+            raise ValueError(f"held_out_runs is {self.held_out_runs}, must be at most {MOST_RUNS}")
         if self.target_relative_error is not None:
             require_positive(self, "target_relative_error")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pointnetkl.workflow import parameters
 
-_MOST_RUNS = 1_000_000  # of a label: their errors are held at once
+MOST_RUNS = 1_000_000  # of a label: their errors are held at once
 _PREDICTING = ("pointnetkl", "network")  # the models that stages predict and time read
 
 
@@ -27,8 +27,8 @@ class StudySurvey:
     def __post_init__(self) -> None:
         """Refuse what no submap can be cut by."""
         parameters.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
-        if self.label_runs > _MOST_RUNS:
-            raise ValueError(f"label_runs is {self.label_runs}, must be at most {_MOST_RUNS}")
+        if self.label_runs > MOST_RUNS:
+            raise ValueError(f"label_runs is {self.label_runs}, must be at most {MOST_RUNS}")
         if self.submap_length_m < 2 * self.point_spacing_m:
             raise ValueError(
                 f"submap_length_m is {self.submap_length_m:g}, must be at least twice point_spacing_m,"
