@@ -8,7 +8,7 @@ import numpy as np
 from pointnetkl.exchange import g2o
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import DeadReckoningNoise, Edges
-from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow.errors import PointNetKLError
 
 
@@ -82,13 +82,6 @@ def _in_source_frame(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -
         raise GraphExchangeError(f"submap {later} closes a loop with {min(first, second)} and has no covariance")
     if later == second:
         return q[later]
-    adjoint = _adjoint(np.linalg.inv(graph.edges.measured[edge]))[: len(q[later]), : len(q[later])]
+    T_second_first = SE2.from_matrix(np.linalg.inv(graph.edges.measured[edge]))
+    adjoint = T_second_first.adjoint()[: len(q[later]), : len(q[later])]
     return np.asarray(adjoint @ q[later] @ adjoint.T)
-
-
-def _adjoint(T: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) that takes small motions (x, y, yaw) from a frame to the one that T (4, 4) leads to."""
-    adjoint = np.eye(3)
-    adjoint[:2, :2] = pose.matrix(np.zeros(3), pose.yaw_of(T))[:2, :2]
-    adjoint[:2, 2] = T[1, 3], -T[0, 3]
-    return adjoint

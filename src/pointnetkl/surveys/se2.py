@@ -86,6 +86,15 @@ class SE2:
         moved[:2, 3] += self.translation
         return moved
 
+    def adjoint(self) -> np.ndarray:
+        """Return the matrix (..., 3, 3) of tangent vectors from frame to frame: T exp(v) T^-1 = exp(Ad v)."""
+        yaw = np.broadcast_to(self.yaw, self.translation.shape[:-1])
+        c, s = np.cos(yaw), np.sin(yaw)
+        matrix = np.zeros((*yaw.shape, 3, 3)) + np.eye(3)
+        matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1] = c, -s, s, c
+        matrix[..., :2, 2] = self.translation[..., ::-1] * [1, -1]
+        return matrix
+
     def to_vector(self) -> np.ndarray:
         """Return x, y, yaw as a vector (..., 3), metres and radians."""
         return np.concatenate([self.translation, np.asarray(self.yaw)[..., None]], axis=-1)

@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -149,6 +150,20 @@ class Ground:
         return np.isfinite(distance)
 
 
+class _Edge(NamedTuple):
+    target: int
+    source: int
+    registration: int
+    T_target_source: np.ndarray
+
+
+class _Registration(NamedTuple):
+    node: int
+    start: np.ndarray  # (3,) change of the pose's x, y and yaw before the registration
+    correction: np.ndarray  # (3,) and after it
+    converged: bool
+
+
 class _FrontEnd:
     """The map as it grows: S_graph of Algorithm 1.
 
@@ -160,10 +175,10 @@ class _FrontEnd:
         self._share, self._registration = settings.coverage, registration
         self._reach = None if settings.overlap_factor is None else settings.overlap_factor * spacing
         self._clouds: list[np.ndarray] = []
-        self._T_map: list[np.ndarray] = []
+        self._T_map_submap: list[np.ndarray] = []
         self._centroids: list[np.ndarray] = []
-        self._edges: list[tuple[int, int, int, np.ndarray]] = []
-        self._registered: list[tuple[int, np.ndarray, np.ndarray, bool]] = []
+        self._edges: list[_Edge] = []
+        self._registrations: list[_Registration] = []
         self._rejected: list[int] = []
         self.correction = SE2.identity()  # the motion of the submap added last
 
@@ -178,8 +193,8 @@ class _FrontEnd:
         self._place((self.correction / drift).act(cloud), self.correction.act_on_pose(T))
         if outcome is not None:
             start = perturbation.about(cloud.mean(axis=0)[:2]) @ drift
-            shifts = [motion.about(-T[:2, 3]).to_vector() for motion in (start, self.correction)]
-            self._connect(i, targets, shifts, outcome[1])
+            before, after = (motion.about(-T[:2, 3]).to_vector() for motion in (start, self.correction))
+            self._connect(targets, _Registration(i, before, after, outcome[1]))
         elif len(targets):
             self._rejected.append(i)
 
@@ -191,31 +206,30 @@ class _FrontEnd:
     def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
         self._footprints.add(cloud)
         self._clouds.append(cloud)
-        self._T_map.append(T)
+        self._T_map_submap.append(T)
 
-    def _connect(self, i: int, targets: np.ndarray, shifts: list[np.ndarray], converged: bool) -> None:
-        # The registration corrects x, y and with xyyaw yaw; the rest of the pose is the one handed in. `shifts` are the
-        # changes of x, y and yaw by the start and by the correction.
+    def _connect(self, targets: np.ndarray, registration: _Registration) -> None:
+        # the registration corrects x, y and with xyyaw yaw; the rest of the pose is the one handed in
+        i = registration.node
         for k in targets:
-            measured = np.linalg.inv(self._T_map[k]) @ self._T_map[i]
-            self._edges.append((int(k), i, len(self._registered), measured))
-        start, correction = shifts
-        self._registered.append((i, start, correction, converged))
+            T_target_source = np.linalg.inv(self._T_map_submap[k]) @ self._T_map_submap[i]
+            self._edges.append(_Edge(int(k), i, len(self._registrations), T_target_source))
+        self._registrations.append(registration)
 
     def closures(self) -> Closures:
         """Return the edges and registrations so far."""
-        edges, registered, m = self._edges, self._registered, self._registration.dimensions
+        edges, registrations, m = self._edges, self._registrations, self._registration.dimensions
         return Closures(
             edges=Edges(
-                target=np.array([e[0] for e in edges], np.int64),
-                source=np.array([e[1] for e in edges], np.int64),
-                measured=np.array([e[3] for e in edges]).reshape(-1, 4, 4),
+                target=np.array([e.target for e in edges], np.int64),
+                source=np.array([e.source for e in edges], np.int64),
+                measured=np.array([e.T_target_source for e in edges]).reshape(-1, 4, 4),
             ),
-            registration=np.array([e[2] for e in edges], np.int64),
-            node=np.array([r[0] for r in registered], np.int64),
-            start=np.array([r[1] for r in registered]).reshape(-1, 3)[:, :m],
-            correction=np.array([r[2] for r in registered]).reshape(-1, 3)[:, :m],
-            converged=np.array([r[3] for r in registered], bool),
+            registration=np.array([e.registration for e in edges], np.int64),
+            node=np.array([r.node for r in registrations], np.int64),
+            start=np.array([r.start for r in registrations]).reshape(-1, 3)[:, :m],
+            correction=np.array([r.correction for r in registrations]).reshape(-1, 3)[:, :m],
+            converged=np.array([r.converged for r in registrations], bool),
             rejected=np.array(self._rejected, np.int64),
             centroid=np.array(self._centroids).reshape(-1, 2) if m == 3 else None,
         )

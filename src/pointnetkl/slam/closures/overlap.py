@@ -16,6 +16,7 @@ from pointnetkl.registration.covariance.method import Method
 from pointnetkl.slam.closures import errors as closure_errors
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 
 _FEWEST = 100  # points of a part; with fewer the method gets the whole submap
@@ -57,7 +58,6 @@ def _part(
 
 def _about_whole(q: np.ndarray, pairs: Sequence[tuple[Submap, Submap]]) -> np.ndarray:
     """Return covariances (n, 3, 3), which are about the means of parts, about the means of the whole submaps."""
-    x, y = np.array([(whole.points - part.points.mean(axis=0)).mean(axis=0)[:2] for whole, part in pairs]).T
-    adjoint = np.tile(np.eye(3), (len(q), 1, 1))  # a rotation moves a point ahead to port, and one to port astern
-    adjoint[:, 0, 2], adjoint[:, 1, 2] = -y, x
+    offset = np.array([(whole.points - part.points.mean(axis=0)).mean(axis=0)[:2] for whole, part in pairs])
+    adjoint = SE2(-offset, 0.0).adjoint()
     return np.asarray(adjoint @ q @ np.swapaxes(adjoint, 1, 2))

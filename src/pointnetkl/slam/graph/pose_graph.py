@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from pointnetkl.slam.graph import gtsam_search
+from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_within
 
@@ -94,8 +95,7 @@ def closure_covariances(q: np.ndarray, noise: ClosureNoise, levers: np.ndarray |
     if levers is None:
         full[:, 3:5, 3:5] = q
         return full
-    adjoint = np.tile(np.eye(3), (len(q), 1, 1))  # of x, y, yaw
-    adjoint[:, :2, 2] = levers[:, ::-1] * [1, -1]
+    adjoint = SE2(levers, 0.0).adjoint()
     full[:, XY_YAW[:, None], XY_YAW] = adjoint @ q @ np.swapaxes(adjoint, 1, 2)
     return full
 
