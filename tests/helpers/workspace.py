@@ -21,6 +21,12 @@ COPIED = (
 )
 
 
+def smoke(*dropped: str) -> list[str]:
+    """Return the changes that make the smoke scale, but for those of surveys that are dropped from the study."""
+    changes = (ROOT / "scales/smoke").read_text().replace("-S ", "").split()
+    return [f"-S{change}" for change in changes if not any(f"surveys.{name}." in change for name in dropped)]
+
+
 class Workspace:
     """A project folder under git and DVC."""
 
