@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from test_estimator import written
-from test_graph_solver import meshed
 
+import toy_graphs
+import toy_models
 import toy_survey
 from pointnetkl import __main__ as command
 from pointnetkl.commands import NAMES
@@ -121,7 +121,7 @@ def test_an_assumed_dialect_is_told(survey: Path, tmp_path: Path, capsys: pytest
 def test_a_robust_solver_names_the_loop_closures_that_it_does_not_believe(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    graph, wrong = meshed()
+    graph, wrong = toy_graphs.mesh()
     g2o.write(tmp_path / "a.g2o", graph, "g2o")
     given = ["--out", tmp_path / "b.g2o", "--params", PARAMS, "--robust", "gnc"]
     status, out, _ = told(capsys, "solve", tmp_path / "a.g2o", *given)
@@ -226,7 +226,7 @@ def test_submaps_in_files_become_an_optimised_graph(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     paths, truth = files
-    model = written(tmp_path, "mean_field")
+    model = toy_models.write(tmp_path, "mean_field")
     status, out, err = told(capsys, "slam", model, *paths, "--out", tmp_path / "o", "--params", PARAMS)
     assert status == 0, err
     head, *rows = out.splitlines()
@@ -266,7 +266,7 @@ def test_spacing_is_the_side_of_the_square_of_one_point():
 def test_more_coverage_than_there_is_closes_no_loop_and_is_warned_of(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    model = written(tmp_path, "mean_field")
+    model = toy_models.write(tmp_path, "mean_field")
     given = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage"]
     status, out, err = told(capsys, "slam", model, *files[0], *given, 1)
     assert (status, "loop closures: 0;" in out) == (0, True)
@@ -277,7 +277,7 @@ def test_more_coverage_than_there_is_closes_no_loop_and_is_warned_of(
 def test_a_model_with_yaw_needs_registrations_that_find_it(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    model = written(tmp_path, "mean_field", dimensions=3)
+    model = toy_models.write(tmp_path, "mean_field", dimensions=3)
     status, _, err = told(capsys, "slam", model, *files[0], "--out", tmp_path / "o", "--params", PARAMS)
     assert (status, "is a model of 3 dimensions, and registration.dof in" in err) == (1, True)
 
@@ -315,7 +315,7 @@ def test_a_viewpoint_that_is_no_pose_is_refused(tmp_path: Path, said: str, sente
 @pytest.mark.skipif(not REALDATA.exists(), reason="the real files are not here")
 def test_the_authors_toy_submaps_become_an_optimised_graph(tmp_path: Path, capsys: pytest.CaptureFixture):
     paths = sorted((REALDATA / "pcd").glob("*.pdc"))
-    model = written(tmp_path, "mean_field")
+    model = toy_models.write(tmp_path, "mean_field")
     given = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage", 0.15]
     status, out, err = told(capsys, "slam", model, *paths, *given)
     assert (status, "9 submaps" in out, "registrations: 1, loop closures: 2;" in out) == (0, True, True), err

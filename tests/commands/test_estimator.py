@@ -1,6 +1,5 @@
 """A trained model on board: raw points in, a covariance out, whatever the frame; and ONNX says the same."""
 
-import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -8,52 +7,21 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
-import torch
 
 import pointnetkl
 import terrains
-from pointnetkl.models import mean_field_network, model_file, novelty
-from pointnetkl.models import pointnetkl as network
-from pointnetkl.models.mean_field import Conditions
-from pointnetkl.models.model import Model
+import toy_models
+from pointnetkl.models import model_file
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
 
-KINDS = ("pointnetkl", "mean_field")
-FAR = np.array([5e5, 6.4e6, -3000.0])  # as map projections have it
-CONDITIONS = Conditions(20, 1e-3, 1e-3, 50, 3.0, 0.1, 0.03)
-SETTINGS = {
-    "pointnetkl": network.Settings(scale_input=True, hidden_layers=2, hidden_width=32, dropout=0.1),
-    "mean_field": mean_field_network.Settings(2, 8, 1.5, 0.3, conditions=CONDITIONS),
-}
-
-
-def model(kind: str, dimensions: int = 2) -> Model:
-    """Return a model in evaluation mode that has learned nothing, but is not of the first moment either."""
-    torch.manual_seed(0)
-    made = model_file.kind(kind)[1](dataclasses.replace(SETTINGS[kind], dimensions=dimensions))
-    with torch.no_grad():
-        for parameter in made.parameters():
-            parameter.add_(0.05 * torch.randn_like(parameter))
-    return made.eval()
-
-
-def known() -> novelty.Known:
-    seen = [terrains.cloud("mild", 900, i) * [1, 1, 0.2 + 1.8 * (i % 20) / 19] for i in range(40)]
-    return novelty.learn(np.stack([novelty.traits(points) for points in seen]), np.repeat(["a", "b"], 20))
-
-
-def written(folder: Path, kind: str, dimensions: int = 2) -> Path:
-    """Write a model's file and return its path."""
-    path = folder / f"{kind}.pt"
-    path.write_bytes(model_file.to_bytes(kind, model(kind, dimensions), 0.01, {}, known()))
-    return path
+FAR = np.array([5e5, 6.4e6, -3000.0])  # in coordinates of a map projection
 
 
 @pytest.fixture(scope="module")
 def estimators(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pointnetkl.CovarianceEstimator]:
     folder = tmp_path_factory.mktemp("models")
-    return {kind: pointnetkl.CovarianceEstimator.load(written(folder, kind)) for kind in KINDS}
+    return {kind: pointnetkl.CovarianceEstimator.load(toy_models.write(folder, kind)) for kind in toy_models.KINDS}
 
 
 def test_importing_the_package_imports_none_of_its_libraries():
@@ -64,15 +32,15 @@ def test_importing_the_package_imports_none_of_its_libraries():
         _ = pointnetkl.Covariance
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_raw_points_give_a_covariance_of_the_model_s_dimensions(tmp_path: Path, kind: str, dimensions: int):
-    estimator = pointnetkl.CovarianceEstimator.load(str(written(tmp_path, kind, dimensions)))
+    estimator = pointnetkl.CovarianceEstimator.load(str(toy_models.write(tmp_path, kind, dimensions)))
     q = estimator.predict(terrains.cloud("mild", 900))
     assert gaussian.check(q, kind).shape == (dimensions, dimensions)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 def test_the_origin_of_the_frame_does_not_matter(estimators: dict, kind: str):
     points = terrains.cloud("mild", 900)
     moved = estimators[kind].predict(points + FAR)
@@ -88,7 +56,7 @@ def test_a_turned_submap_has_a_turned_covariance(estimators: dict):
     assert gaussian.kl_divergence(turned, q) > 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 def test_a_submap_unlike_the_training_ones_is_flagged(estimators: dict, kind: str):
     usual = estimators[kind].judge(terrains.cloud("mild", 900, 60))
     assert not usual.is_novel
@@ -98,7 +66,7 @@ def test_a_submap_unlike_the_training_ones_is_flagged(estimators: dict, kind: st
 
 
 def test_a_model_without_its_training_submaps_flags_nothing(tmp_path: Path):
-    (tmp_path / "old.pt").write_bytes(model_file.to_bytes("pointnetkl", model("pointnetkl"), 0.01, {}))
+    (tmp_path / "old.pt").write_bytes(model_file.to_bytes("pointnetkl", toy_models.model("pointnetkl"), 0.01, {}))
     judged = pointnetkl.CovarianceEstimator.load(tmp_path / "old.pt").judge(terrains.cloud("mild", 100) * 50)
     assert (judged.novelty, judged.is_novel) == (None, False)
 
@@ -110,7 +78,7 @@ def spoiled(**change: float) -> np.ndarray:
     return points
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 @pytest.mark.parametrize(
     ("points", "sentence"),
     [
@@ -133,11 +101,11 @@ def test_what_is_no_submap_is_refused_in_a_sentence(estimators: dict, kind: str,
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 def test_onnx_gives_the_same_covariance(tmp_path: Path, kind: str, dimensions: int):
-    made = model(kind, dimensions)
+    made = toy_models.model(kind, dimensions)
     session = onnxruntime.InferenceSession(model_file.to_onnx(made), providers=["CPUExecutionProvider"])
-    estimator = pointnetkl.CovarianceEstimator.load(written(tmp_path, kind, dimensions))
+    estimator = pointnetkl.CovarianceEstimator.load(toy_models.write(tmp_path, kind, dimensions))
     for terrain in ("flat", "ridge", "rugged"):
         points = terrains.cloud(terrain, 900)
         if made.describe:

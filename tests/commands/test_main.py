@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_estimator import KINDS, written
 
 import pointnetkl
 import terrains
+import toy_models
 from pointnetkl import __main__ as command
 
 
@@ -19,9 +19,9 @@ def submap(folder: Path, name: str, number: int = 60) -> Path:
     return folder / name
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 def test_json_has_what_the_estimator_says(tmp_path: Path, capsys: pytest.CaptureFixture, kind: str):
-    model, file = written(tmp_path, kind), submap(tmp_path, "s.npz")
+    model, file = toy_models.write(tmp_path, kind), submap(tmp_path, "s.npz")
     assert command.main(["predict", str(model), str(file), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     judged = pointnetkl.CovarianceEstimator.load(model).judge(terrains.cloud("mild", 900, 60))
@@ -34,7 +34,7 @@ def test_json_has_what_the_estimator_says(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_a_bad_file_is_named_and_the_others_are_printed(tmp_path: Path):
-    model, file = written(tmp_path, "pointnetkl"), submap(tmp_path, "good.npz")
+    model, file = toy_models.write(tmp_path, "pointnetkl"), submap(tmp_path, "good.npz")
     np.savez(tmp_path / "flat.npz", points=np.ones((50, 3)))
     words = [sys.executable, "-m", "pointnetkl", "predict", model, tmp_path / "gone.pcd", tmp_path / "flat.npz", file]
     result = subprocess.run(list(map(str, words)), capture_output=True, text=True)
@@ -49,7 +49,7 @@ def test_a_bad_file_is_named_and_the_others_are_printed(tmp_path: Path):
 
 
 def test_with_yaw_its_entries_are_columns_too(tmp_path: Path, capsys: pytest.CaptureFixture):
-    model = written(tmp_path, "mean_field", dimensions=3)
+    model = toy_models.write(tmp_path, "mean_field", dimensions=3)
     assert command.main(["predict", str(model), str(submap(tmp_path, "s.npz"))]) == 0
     assert "q_ww_rad2" in capsys.readouterr().out.split()
 

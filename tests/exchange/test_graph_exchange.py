@@ -4,23 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_pose_graph import CROSSING, LONG_X, closure
 
 import graphs
 from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 from pointnetkl.exchange.graph_exchange import GraphExchangeError
-from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges
-from toy_survey import CLOSURE, DEAD_RECKONING
-
-NONE = Edges(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 4)))
-OTHER = np.diag([0.5, 0.5])  # what the file has
-
-
-def crossing(edges: Edges, q: np.ndarray = OTHER, numbers: tuple[int, ...] = (0, 1, 2, 3)) -> g2o.Graph:
-    full = pose_graph.closure_covariances(np.tile(q, (len(edges.source), 1, 1)), CLOSURE)
-    along = pose_graph.between(CROSSING)
-    return graph_exchange.join(np.array(numbers), CROSSING, along, DEAD_RECKONING, edges, full)
+from toy_graphs import CROSSING, LONG_X, closure, crossing
 
 
 def reversed_edge(edges: Edges) -> Edges:
@@ -28,6 +17,7 @@ def reversed_edge(edges: Edges) -> Edges:
 
 
 def moved(graph: g2o.Graph) -> np.ndarray:
+    """Return how far solving the graph moves its last vertex, in the map."""
     return (graph_solver.solve(graph).poses - CROSSING)[3, :2, 3]
 
 

@@ -6,41 +6,20 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
-from test_graph_exchange import NONE, crossing, moved
-from test_pose_graph import CROSSING, closure
 
 import graphs
 from pointnetkl.exchange import g2o, graph_exchange, graph_solver
 from pointnetkl.exchange.graph_solver import GraphSolverError
-from pointnetkl.slam.graph import gtsam_search, pose_graph
+from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators
 from pointnetkl.slam.robust import tables as robust_tables
 from pointnetkl.surveys import pose
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
-from toy_survey import CLOSURE, DEAD_RECKONING
+from toy_graphs import CROSSING, NO_EDGES, closure, crossing, mesh
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
-
-
-def meshed() -> tuple[g2o.Graph, int]:
-    """Return a graph of many loop closures of which one, the edge named, is wrong; its first vertex is not held."""
-    truth = np.array([pose.matrix(np.array([30.0 * (k % 4), 20.0 * (k // 4), 0.0]), 0.5 * k) for k in range(14)])
-    pairs = np.array([(k, k + step) for step in (2, 4) for k in range(14 - step)])
-    rng = np.random.default_rng(0)
-    noisy = np.tile(np.eye(4), (len(pairs), 1, 1))
-    noisy[:, :2, 3] = 0.2 * rng.normal(size=(len(pairs), 2))
-    measured = np.linalg.inv(truth[pairs[:, 0]]) @ truth[pairs[:, 1]] @ noisy
-    measured[9, :2, 3] += 30.0
-    full = pose_graph.closure_covariances(np.tile(0.04 * np.eye(2), (len(pairs), 1, 1)), CLOSURE)
-    along = pose_graph.between(truth) @ [pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0, 0.01, 13)]
-    edges = Edges(pairs[:, 0], pairs[:, 1], measured)
-    start = pose_graph.chain(truth[0], along)
-    made = graph_exchange.join(np.arange(14), start, along, DEAD_RECKONING, edges, full)
-    order = np.array([5, 1, 2, 3, 4, 0, *range(6, 14)])  # as its own inverse
-    ends = Edges(order[made.edges.target], order[made.edges.source], made.edges.measured)
-    return dataclasses.replace(made, number=order, poses=start[order], edges=ends, fixed=order[made.fixed]), 13 + 9
 
 
 def without(graph: g2o.Graph, edge: int) -> g2o.Graph:
@@ -50,7 +29,7 @@ def without(graph: g2o.Graph, edge: int) -> g2o.Graph:
 
 @pytest.mark.parametrize("kernel", robust_tables.KERNELS[1:])
 def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str):
-    graph, wrong = meshed()
+    graph, wrong = mesh()
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
     thresholds = parameters.read(PARAMS, "stress.thresholds", estimators.Thresholds)
     found, weights = graph_solver.solve_robust(graph, doubted, kernel, thresholds)
@@ -64,7 +43,7 @@ def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str)
 
 
 def test_a_robust_kernel_that_doubts_nothing_gives_the_plain_solution():
-    graph, wrong = meshed()
+    graph, wrong = mesh()
     sound = without(graph, wrong)
     doubted = np.flatnonzero(graph_exchange.closes_loop(sound))
     easy = estimators.Thresholds(1e3, 1e3, 1e6, 0.999999, 2.0)
@@ -74,7 +53,7 @@ def test_a_robust_kernel_that_doubts_nothing_gives_the_plain_solution():
 
 
 def test_a_graph_of_damaged_numbers_is_solved_or_ends_in_an_error_of_ours(tmp_path: Path):
-    whole, rng, solved = g2o.to_text(meshed()[0], "g2o").encode(), np.random.default_rng(0), 0
+    whole, rng, solved = g2o.to_text(mesh()[0], "g2o").encode(), np.random.default_rng(0), 0
     for _ in range(150):
         words = graphs.mutated(whole, rng).split(b" ")
         words[int(rng.integers(len(words)))] = rng.choice([b"1e300", b"-1e308", b"1e-300", b"0", b"1e160"])
@@ -109,7 +88,7 @@ def test_what_is_fixed_stays_and_without_it_the_first_vertex_does():
 
 
 def test_a_vertex_that_nothing_holds_is_named():
-    graph = crossing(NONE)
+    graph = crossing(NO_EDGES)
     apart = Edges(*(part[:2] for part in (graph.edges.target, graph.edges.source, graph.edges.measured)))
     loose = dataclasses.replace(graph, edges=apart, information=graph.information[:2])
     with pytest.raises(GraphSolverError, match="vertex 3 is joined by no edges to a vertex that is held"):
@@ -118,7 +97,7 @@ def test_a_vertex_that_nothing_holds_is_named():
 
 
 def test_poses_that_still_move_at_an_error_that_does_not_change_are_a_solution(monkeypatch: pytest.MonkeyPatch):
-    graph, _ = meshed()
+    graph, _ = mesh()
     found = graph_solver.solve(graph)
     monkeypatch.setattr(gtsam_search, "_STEADY_M", 0.0)  # as on a bend that no edge feels: no step is small enough
     again = graph_solver.solve(graph)
@@ -129,10 +108,11 @@ def test_poses_that_still_move_at_an_error_that_does_not_change_are_a_solution(m
 def test_a_search_that_does_not_come_to_rest_says_how_far_it_still_moves(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(gtsam_search, "optimise", lambda *_: gtsam_search.End(np.empty((14, 4, 4)), 0.3, 1e-3))
     with pytest.raises(GraphSolverError, match=r"14 vertices is not settled: the last step moved a pose by 0\.3 m"):
-        graph_solver.solve(meshed()[0])
+        graph_solver.solve(mesh()[0])
 
 
 def test_a_sigma_of_a_tenth_of_a_millimetre_does_not_stop_the_solver():
     sharp = np.diag([1e-8, 1e-8])
-    assert moved(crossing(closure(1, 3, CROSSING, (4.0, 4.0)), sharp)) == pytest.approx([4.0, 4.0], abs=1e-3)
-    assert pose.yaw_of(graph_solver.solve(crossing(NONE)).poses[3]) == pytest.approx(np.pi / 2)
+    moved = graph_solver.solve(crossing(closure(1, 3, CROSSING, (4.0, 4.0)), sharp)).poses - CROSSING
+    assert moved[3, :2, 3] == pytest.approx([4.0, 4.0], abs=1e-3)
+    assert pose.yaw_of(graph_solver.solve(crossing(NO_EDGES)).poses[3]) == pytest.approx(np.pi / 2)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_estimator import written
 
 import terrains
+import toy_models
 from pointnetkl.models import novelty
 from pointnetkl.surveys import submap as submaps
 from pointnetkl.training import dataset
@@ -92,7 +92,7 @@ def test_the_benchmark_counts_what_is_flagged(tmp_path: Path):
     labels = pd.DataFrame({"submap": range(8), "q_xx_m2": 1.0, "q_xy_m2": 0.0, "q_yy_m2": 1.0})
     artifacts.write_table(tmp_path / "submaps/mine.parquet", submaps.to_table(drawn), submaps.POINTS, {})
     artifacts.write_table(tmp_path / "labels/mine.parquet", labels, dataset.LABEL, {})
-    words = ["benchmarks/novelty.py", "mine", "--data", tmp_path, "--model", written(tmp_path, "pointnetkl")]
+    words = ["benchmarks/novelty.py", "mine", "--data", tmp_path, "--model", toy_models.write(tmp_path, "pointnetkl")]
     result = subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     surveys, changes = result.stdout.strip().split("\n\n")

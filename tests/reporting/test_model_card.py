@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_estimator import KINDS, model
 
+import toy_models
 from pointnetkl.reporting import model_card
 from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.study import StudySurvey
@@ -29,7 +29,7 @@ def summary(kind: str = "pointnetkl", dimensions: int = 2) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", toy_models.KINDS)
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_card_names_data_labels_units_measures_and_limits(kind: str, dimensions: int):
     text = model_card.text("m", summary(kind, dimensions), {"mine": LINE})
@@ -43,7 +43,7 @@ def test_a_card_names_data_labels_units_measures_and_limits(kind: str, dimension
         said in text for said in (f"({dimensions}, {dimensions})", "0 % of the training", "2.5 % of the validation")
     )
     assert ("rad²" in text) == (dimensions == 3)
-    inputs = model(kind, dimensions).example()
+    inputs = toy_models.model(kind, dimensions).example()
     assert all(f"`{name}` (clouds" in text for name in inputs)
 
 

@@ -9,26 +9,8 @@ from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Edges, PoseGraph
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.se2 import rotate
+from toy_graphs import CROSSING, LONG_X, closure
 from toy_survey import CLOSURE, DEAD_RECKONING
-
-# A first line east; a second one crosses it northwards: its submap's x is the map's y.
-CROSSING = np.array(
-    [
-        pose.matrix(np.array([0.0, 0.0, -20.0]), 0.0),
-        pose.matrix(np.array([100.0, 0.0, -20.0]), 0.0),
-        pose.matrix(np.array([200.0, -100.0, -20.0]), 0.0),
-        pose.matrix(np.array([100.0, 0.0, -20.0]), np.pi / 2),
-    ]
-)
-LONG_X = np.diag([1e4, 1e-2])  # next to nothing is known along x
-
-
-def closure(target: int, source: int, poses: np.ndarray, shift: tuple[float, float]) -> Edges:
-    """Return the edge that a registration makes which misses by `shift` in the map."""
-    missed = poses[source].copy()
-    missed[:2, 3] += shift
-    measured = np.linalg.inv(poses[target]) @ missed
-    return Edges(np.array([target]), np.array([source]), measured[None])
 
 
 def moved_by(edges: Edges, q: np.ndarray) -> np.ndarray:
