@@ -122,13 +122,13 @@ def describe(points: np.ndarray, given: Conditions) -> Description:
         slopes, apart, pulls, ground.cell / forces.FINE, given.prior_sigma_m * starts, noises, given.noise_sigma_m,
         given.tolerance_m, given.max_iterations,
     )  # fmt: skip
-    xx, xy, yy, noise_xx, noise_xy, noise_yy, count = slopes[len(slopes) // 2, len(slopes) // 2, 2:]
+    middle = settling.Slopes(*slopes[len(slopes) // 2, len(slopes) // 2])
     return Description(
         ends,
         iterations,
-        np.array([[xx, xy], [xy, yy]]) / count,
-        np.array([[noise_xx, noise_xy], [noise_xy, noise_yy]]) / count,
-        _turning(ground, epsilon) / count,
+        np.array([[middle.xx, middle.xy], [middle.xy, middle.yy]]) / middle.points,
+        np.array([[middle.noise_xx, middle.noise_xy], [middle.noise_xy, middle.noise_yy]]) / middle.points,
+        _turning(ground, epsilon) / middle.points,
         centred[:, :2].T @ centred[:, :2] / len(centred),
         len(centred),
         ground.cell,

@@ -4,27 +4,27 @@ import functools
 
 import numpy as np
 
+from pointnetkl.models.mean_field.settling import Slopes
 from pointnetkl.registration.gicp.device import device, kernel
 
 FINE = 6  # cells of the pull's raster to a point's spacing: with 5 copies run through places where they stick
 _LANES = 40  # FINE squared, and a little, so that they fill whole vectors
 _BLOCK = 32  # floats that a loop takes at once: a row of so many has no rest to be added one by one
 _FAR = np.float32(1e9)  # m^2, of a point that is none
-# of a table of slopes: force x, y; stiffness xx, xy, yy; what unit noise in z makes of the force, squared; points
-NUMBERS = 9
+_NUMBERS = len(Slopes._fields)  # in a table of slopes
 
 
 @functools.partial(kernel, reorder=True)
 def slopes(
     raster: np.ndarray, ground: np.ndarray, extended: np.ndarray, reach: int, stride: int, epsilon: float
 ) -> np.ndarray:
-    """Return the sums over points of the residuals along normals, (2 reach + 1, 2 reach + 1, NUMBERS).
+    """Return the sums over points of the residuals along normals, (2 reach + 1, 2 reach + 1, 9): Slopes.
 
     At an offset of whole strides of cells (row and column from the middle), with `epsilon` the least eigenvalue of the
     two points' summed covariances: along the mean normal it grows by half the square of the normals' difference.
     """
     _, rows, columns = raster.shape
-    table = np.zeros((2 * reach + 1, 2 * reach + 1, NUMBERS), np.float64)
+    table = np.zeros((2 * reach + 1, 2 * reach + 1, _NUMBERS), np.float64)
     zero, half, one, least = np.float32(0), np.float32(0.5), np.float32(1), np.float32(epsilon)
     # rows one behind the other: one long loop has no rests, and in the rim there are no points
     rim = reach * stride * (columns + 1)

@@ -3,6 +3,7 @@
 import functools
 import math
 import statistics
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,21 @@ from pointnetkl.registration.gicp.device import device, kernel
 _DRAWS = 128  # of starts and noise, each turned by quarters: 512 copies
 _DIMENSIONS = 6  # start x, y; noise on the slopes' force x, y; noise on the pull x, y
 IN_PLANE = 0.5  # of M = (C_q + C_p)^-1 along a plane, where both C are 1
+
+
+# in this file, and not beside the table: numba finds a kernel in its cache unless the kernel's own file has changed
+class Slopes(NamedTuple):
+    """What the slopes do to a copy at one offset: sums over its points, in the order of a table of slopes."""
+
+    force_x: float
+    force_y: float
+    xx: float  # stiffness
+    xy: float
+    yy: float
+    noise_xx: float  # covariance of the force, where the noise in z is 1 m
+    noise_xy: float
+    noise_yy: float
+    points: float  # that lie over the ground
 
 
 @functools.cache
@@ -51,13 +67,12 @@ def settle(
     """
     ends = np.empty((len(starts), 2))
     taken = np.zeros(len(starts), np.int32)
-    at = np.empty(slopes.shape[2])
     for k in range(len(starts)):
         x, y = starts[k, 0], starts[k, 1]
         for i in range(iterations):
-            _look_up(slopes, x / cell, y / cell, at)
+            forces = _slopes(slopes, x / cell, y / cell)
             px, py = _pull(pulls, x / step, y / step)
-            ux, uy = _newton(at, px, py, noises[k], sigma)
+            ux, uy = _newton(forces, px, py, noises[k], sigma)
             x, y = x + ux, y + uy
             taken[k] = i + 1
             if ux * ux + uy * uy < tolerance * tolerance:
@@ -74,13 +89,23 @@ def _place(offset: float, size: int) -> tuple[int, float]:
 
 
 @device  # type: ignore[untyped-decorator]
-def _look_up(table: np.ndarray, u: float, v: float, at: np.ndarray) -> None:
-    """Write what a table of slopes has at an offset, between its entries, to `at`, (NUMBERS,)."""
+def _slopes(table: np.ndarray, u: float, v: float) -> Slopes:
+    """Return what a table of slopes has at an offset, between its entries."""
     i, p = _place(u, table.shape[0])
     j, q = _place(v, table.shape[1])
-    for k in range(table.shape[2]):
-        below = (1 - p) * table[i, j, k] + p * table[i + 1, j, k]
-        at[k] = (1 - q) * below + q * ((1 - p) * table[i, j + 1, k] + p * table[i + 1, j + 1, k])
+    left, right = table[i, j : j + 2], table[i + 1, j : j + 2]
+    return Slopes(
+        _between(left, right, p, q, 0), _between(left, right, p, q, 1), _between(left, right, p, q, 2),
+        _between(left, right, p, q, 3), _between(left, right, p, q, 4), _between(left, right, p, q, 5),
+        _between(left, right, p, q, 6), _between(left, right, p, q, 7), _between(left, right, p, q, 8),
+    )  # fmt: skip
+
+
+@device  # type: ignore[untyped-decorator]
+def _between(left: np.ndarray, right: np.ndarray, p: float, q: float, k: int) -> float:
+    """Return number k between the entries of two columns of a table, each of two entries."""
+    below = (1 - p) * left[0, k] + p * right[0, k]
+    return (1 - q) * below + q * ((1 - p) * left[1, k] + p * right[1, k])
 
 
 @device  # type: ignore[untyped-decorator]
@@ -97,16 +122,16 @@ def _pull(table: np.ndarray, u: float, v: float) -> tuple[float, float]:
 
 
 @device  # type: ignore[untyped-decorator]
-def _newton(at: np.ndarray, px: float, py: float, noise: np.ndarray, sigma: float) -> tuple[float, float]:
+def _newton(slopes: Slopes, px: float, py: float, noise: np.ndarray, sigma: float) -> tuple[float, float]:
     """Return the step that makes the forces at one place zero: one 2x2 solve, as a registration's."""
-    n = at[8]
+    n = slopes.points
     # a square root of what noise in z does to the slopes' force, by Cholesky
-    a = math.sqrt(at[5] + 1e-300)
-    b = at[6] / a
-    c = math.sqrt(max(at[7] - b * b, 0.0))
+    a = math.sqrt(slopes.noise_xx + 1e-300)
+    b = slopes.noise_xy / a
+    c = math.sqrt(max(slopes.noise_yy - b * b, 0.0))
     flat = IN_PLANE * math.sqrt(n)
-    fx = at[0] + IN_PLANE * px + sigma * (a * noise[0] + flat * noise[2])
-    fy = at[1] + IN_PLANE * py + sigma * (b * noise[0] + c * noise[1] + flat * noise[3])
-    xx, xy, yy = at[2] + IN_PLANE * n, at[3], at[4] + IN_PLANE * n
+    fx = slopes.force_x + IN_PLANE * px + sigma * (a * noise[0] + flat * noise[2])
+    fy = slopes.force_y + IN_PLANE * py + sigma * (b * noise[0] + c * noise[1] + flat * noise[3])
+    xx, xy, yy = slopes.xx + IN_PLANE * n, slopes.xy, slopes.yy + IN_PLANE * n
     determinant = xx * yy - xy * xy
     return (yy * fx - xy * fy) / determinant, (xx * fy - xy * fx) / determinant
