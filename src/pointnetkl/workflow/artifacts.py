@@ -28,10 +28,10 @@ class ArtifactError(PointNetKLError):
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a reader never sees half of it.
+    """Write a file whole or not at all, so that a reader never sees half of it.
 
     Raises:
-        ArtifactError: the file cannot be written; what stood there before still does.
+        ArtifactError: the file cannot be written; a file that stood at the path before is left as it was.
     """
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")  # machines may share the folder
     try:
@@ -46,7 +46,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def is_none(path: Path) -> bool:
-    """Whether a file stands for an input that there is not, as data/none does: it begins with `none`."""
+    """Return whether a file stands for an input that does not exist, as data/none does: it begins with `none`."""
     with path.open("rb") as file:
         return file.read(4) == b"none"
 
@@ -54,9 +54,9 @@ def is_none(path: Path) -> bool:
 def write_table(
     path: Path, frame: pd.DataFrame, schema: pa.Schema, metadata: Mapping[str, Any], crs: str | None = None
 ) -> None:
-    """Write a table with exactly the schema's columns, and the parameters that made it as metadata.
+    """Write a table with exactly the schema's columns; its metadata are the parameters that made it.
 
-    `crs` gets a key of its own, where a reader of raw pings from anywhere looks for it.
+    `crs` gets a metadata key of its own, because the reader of raw pings looks for it there in any program's files.
 
     Raises:
         ArtifactError: the frame lacks a column or has one of another type, or the file cannot be written.
@@ -77,17 +77,18 @@ def write_table(
 
 
 class TableWriter:
-    """A table that need not fit in memory, written part by part: whole in the end, or not at all.
+    """A context that writes a table part by part, so that it need not fit in memory.
 
-    Used as a context. `metadata` is as write_table takes it, and may be set as late as the last part.
+    The file is whole in the end, or not there at all. `metadata` is as write_table takes it; it may be set until the
+    context ends.
 
     Raises:
-        ArtifactError: a part lacks a column or has one of another type, or the file cannot be written; what stood
-            there before still does.
+        ArtifactError: a part lacks a column or has one of another type, or the file cannot be written; a file that
+            stood at the path before is left as it was.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
-        """Begin a table beside the place where it will stand."""
+        """Begin a table in a temporary file beside its path."""
         self.metadata: Mapping[str, Any] = {}
         self._path, self._schema = path, schema
         self._partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
@@ -95,7 +96,7 @@ class TableWriter:
         self._file: Any = None
 
     def __enter__(self) -> Self:
-        """Return itself; there is no file before there are rows."""
+        """Return the writer; no file is opened before there are rows."""
         return self
 
     def write(self, frame: pd.DataFrame) -> None:
@@ -106,8 +107,10 @@ class TableWriter:
         while len(self._waiting) >= _GROUP_ROWS:
             self._write_group()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Put the file in its place, unless there was an error."""
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Move the file to its path, unless there was an error."""
         try:
             if kind is None:
                 self._write_group()
@@ -120,20 +123,20 @@ class TableWriter:
 
     def _write_group(self) -> None:
         group, self._waiting = self._waiting[:_GROUP_ROWS], self._waiting[_GROUP_ROWS:]
-        with self._told():
+        with self._one_sentence():
             if self._file is None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 self._file = pq.ParquetWriter(self._partial, self._schema, compression="zstd", write_page_checksum=True)
             self._file.write_table(group.combine_chunks(), row_group_size=_GROUP_ROWS)
 
     def _finish(self) -> None:
-        with self._told():
+        with self._one_sentence():
             self._file.add_key_value_metadata({_KEY: json.dumps(self.metadata, sort_keys=True).encode()})
             self._file.close()
             os.replace(self._partial, self._path)
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _one_sentence(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -146,9 +149,9 @@ def read_table(
     only: Sequence[tuple[str, str, Any]] | None = None,
     also: pa.Schema | None = None,
 ) -> pd.DataFrame:
-    """Read a table and check its columns; `only` keeps rows, as [("ping", "<", 100)] does.
+    """Read a table and check its columns; `only` filters rows, as [("ping", "<", 100)] does.
 
-    The columns of `also` are read with those of the schema where the file has one of them: then it must have all.
+    The columns of `also` are optional as a group: a file that has one of them must have all, and they are read too.
 
     Raises:
         ArtifactError: the file is missing or damaged, or lacks a column of the schema or values in one.
@@ -160,7 +163,7 @@ def read_table(
 
 
 def read_groups(path: Path, schema: pa.Schema) -> Iterator[pd.DataFrame]:
-    """Yield the rows of a table some thousands at a time, checked as `read_table` does: it need not fit in memory.
+    """Yield the rows of a table some thousands at a time, checked as by `read_table`; it need not fit in memory.
 
     Raises:
         ArtifactError: the file is missing or damaged, or lacks a column of the schema or values in one.
@@ -171,7 +174,7 @@ def read_groups(path: Path, schema: pa.Schema) -> Iterator[pd.DataFrame]:
 
 
 def table_metadata(path: Path) -> dict[str, Any]:
-    """Return the parameters stored with a table; nothing where another program wrote it.
+    """Return the parameters stored with a table; an empty dictionary where another program wrote it.
 
     Raises:
         ArtifactError: the file is missing or damaged.
@@ -181,15 +184,15 @@ def table_metadata(path: Path) -> dict[str, Any]:
 
 
 def require_survey(survey: str, *paths: Path) -> None:
-    """Refuse tables of another survey: numbers of submaps alone would not tell.
+    """Refuse tables of another survey, which the numbers of their submaps would not show.
 
     Raises:
         ArtifactError: the parameters stored with one name another survey, or it is missing or damaged.
     """
     for path in paths:
-        of = table_metadata(path).get("survey", survey)
-        if of != survey:
-            raise ArtifactError(f"{path}: is of survey {of}, not of {survey}; give the files of one survey")
+        stored = table_metadata(path).get("survey", survey)
+        if stored != survey:
+            raise ArtifactError(f"{path}: is of survey {stored}, not of {survey}; give the files of one survey")
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
@@ -223,7 +226,7 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         return arrays, dict(json.loads(str(arrays.pop("metadata"))))
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: is missing; run the stage that makes it (dvc repro)") from error
-    except Exception as error:  # zipfile, numpy and json each fail in their own ways on damaged bytes
+    except Exception as error:  # zipfile, numpy and json raise errors of many kinds on damaged bytes
         raise ArtifactError(f"{path}: is damaged ({_line(error)}); delete it and run dvc repro") from error
 
 
@@ -231,7 +234,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON with sorted keys.
 
     Raises:
-        ArtifactError: a number is NaN or infinite, which JSON has not, or the file cannot be written.
+        ArtifactError: a number is NaN or infinite, which JSON does not have, or the file cannot be written.
     """
     try:
         text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
@@ -257,14 +260,14 @@ def _as_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
 
 
 def _checked(path: Path, table: pa.Table, schema: pa.Schema) -> pd.DataFrame:
-    stored = _guarded(path, lambda: table.column_names)  # damaged names are found only here
+    stored = _guarded(path, lambda: table.column_names)  # a damaged name raises only here
     if missing := [name for name in schema.names if name not in stored]:
         raise ArtifactError(f"{path}: lacks the column {missing[0]}; was it made by another stage?")
     try:
         table = table.select(schema.names).cast(schema)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise ArtifactError(f"{path}: a column has the wrong type ({_line(error)})") from error
-    # pandas would turn whole numbers with a gap among them into floats; a float's gap is NaN
+    # pandas would turn integers with a gap among them into floats; a gap among floats is NaN
     if gaps := [f.name for f in schema if pa.types.is_integer(f.type) and table[f.name].null_count]:
         raise ArtifactError(f"{path}: the column {gaps[0]} has an empty value; was it made by another stage?")
     return table.to_pandas()
