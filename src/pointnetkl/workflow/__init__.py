@@ -1,1 +1,1 @@
-"""What every stage shares: settings, artifacts, workers, errors."""
+"""The basis of every stage: parameters, artifacts, workers, errors."""

@@ -1,4 +1,4 @@
-"""Map a function over items by a Dask cluster; every way in which it is not there or fails ends in one sentence."""
+"""Map a function over items on a Dask cluster; every failure of the cluster becomes an error of one sentence."""
 
 import asyncio
 import contextlib
@@ -13,35 +13,35 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Progress = Callable[[Iterable[Any], str, int], Iterable[Any]]  # of items, what is done with them, how many there are
+Progress = Callable[[Iterable[Any], str, int], Iterable[Any]]  # takes the items, the name of the work, their number
 
-_CONNECT_S = 15.0  # for a scheduler to answer: it is there or not, unlike a worker that waits in a batch queue
+_CONNECT_S = 15.0  # for a scheduler to answer; workers get longer, because they may wait in a batch queue
 _WORKER_S = 300.0
-_LOOK_S = 5.0  # between two looks at who is there
+_LOOK_S = 5.0  # between two checks of the workers
 _WORKER_BYTES = 512 << 20  # for each thread of a Dask worker; labels at the paper's size take half of it
 
 
 class ClusterError(PointNetKLError):
-    """The scheduler or its workers are not there, are not fit for the work, or did not survive."""
+    """The scheduler or its workers are missing, are too small for the work, or died."""
 
 
 def over(
     function: Callable[[Item], Result], items: Sequence[Item], doing: str, address: str, progress: Progress
 ) -> list[Result]:
-    """Return the function of every item, in order, by the workers of the scheduler at an address.
+    """Return the results of a function on items, in their order, computed by the workers of a scheduler.
 
     Raises:
-        ClusterError: no scheduler answers, no worker is fit for the work, or they were lost over it.
+        ClusterError: no scheduler answers at the address, no worker is large enough, or workers died.
     """
-    from distributed import KilledWorker  # a second to import, and only here
+    from distributed import KilledWorker  # imported here, because it takes a second
 
     patience = _patience()
     try:
         with _quiet(), _client(address) as client:
             _refuse_small(_await_workers(client, address, patience))
             futures = client.map(function, items, pure=False)
-            found = dict(progress(_finished(client, futures, address, patience), doing, len(items)))
-            return [found[future] for future in futures]
+            results = dict(progress(_finished(client, futures, address, patience), doing, len(items)))
+            return [results[future] for future in futures]
     except KilledWorker as error:
         raise ClusterError(
             f"{doing}: {error.allowed_failures + 1} workers of {address} died over the same submap, most often because"
@@ -62,7 +62,7 @@ def over(
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # Dask tells at length, and in pieces, what one sentence tells here
+    # Dask logs each failure in many lines; our error says it in one sentence
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -72,13 +72,13 @@ def _quiet() -> Iterator[None]:
 
 
 def _patience() -> float:
-    asked = os.environ.get("POINTNETKL_WORKER_TIMEOUT_S", str(_WORKER_S))
+    value = os.environ.get("POINTNETKL_WORKER_TIMEOUT_S", str(_WORKER_S))
     try:
-        seconds = float(asked)
+        seconds = float(value)
     except ValueError:
         seconds = -1.0
     if not 0 <= seconds < float("inf"):
-        raise ClusterError(f"POINTNETKL_WORKER_TIMEOUT_S is {asked!r}, must be a number of seconds")
+        raise ClusterError(f"POINTNETKL_WORKER_TIMEOUT_S is {value!r}, must be a number of seconds")
     return seconds
 
 
@@ -86,11 +86,11 @@ def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        # asked first by a call that can fail: a client of a wrong address takes half a minute to give up
+        # a call that fails fast comes first: a client of a wrong address takes half a minute to give up
         if "workers" not in asyncio.run(asyncio.wait_for(_identity(address), _CONNECT_S)):
             raise ValueError("what answers is no scheduler")
         return Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except Exception as error:  # every kind of wrong address fails in a way of its own
+    except Exception as error:  # wrong addresses raise errors of many kinds
         cause = " ".join(str(error).split())[:200] or f"nothing in {_CONNECT_S:g} s"
         raise ClusterError(
             f"{address}: no Dask scheduler answers ({cause}); start one (dask scheduler), or unset"
@@ -108,7 +108,7 @@ async def _identity(address: str) -> dict[str, Any]:
 
 def _await_workers(client: Any, address: str, patience: float) -> dict[str, Any]:
     deadline = time.monotonic() + patience
-    while not (known := _with_status(client, "running")):
+    while not (running := _with_status(client, "running")):
         if time.monotonic() > deadline:
             paused = len(_with_status(client, "paused"))
             none = f"none that runs ({paused} are paused, most often for memory)" if paused else "no Dask worker"
@@ -117,17 +117,17 @@ def _await_workers(client: Any, address: str, patience: float) -> dict[str, Any]
                 " POINTNETKL_WORKER_TIMEOUT_S; stage label keeps what it finished"
             )
         time.sleep(0.2)
-    return known
+    return running
 
 
 def _with_status(client: Any, status: str) -> dict[str, Any]:
-    known = client.scheduler_info(n_workers=-1)["workers"]
-    return {name: worker for name, worker in known.items() if worker["status"] == status}
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    return {name: worker for name, worker in workers.items() if worker["status"] == status}
 
 
-def _refuse_small(known: dict[str, Any]) -> None:
+def _refuse_small(workers: dict[str, Any]) -> None:
     # Dask pauses a worker at 80 % of its memory, and kills it at 95 %, again and again
-    for name, worker in known.items():
+    for name, worker in workers.items():
         share = worker["memory_limit"] / worker["nthreads"]
         if 0 < share < _WORKER_BYTES:  # 0: no limit
             raise ClusterError(
@@ -137,11 +137,12 @@ def _refuse_small(known: dict[str, Any]) -> None:
 
 
 def _finished(client: Any, futures: list[Any], address: str, patience: float) -> Iterator[tuple[Any, Any]]:
-    # yields futures and their results, in any order, for as long as there is a worker
+    # yields futures and their results as they come, in any order
     from distributed import as_completed
 
-    done, left, since = as_completed(futures, loop=client.loop, with_results=True), len(futures), time.monotonic()
-    while left:
+    done = as_completed(futures, loop=client.loop, with_results=True)
+    remaining, since = len(futures), time.monotonic()
+    while remaining:
         batch = done.next_batch(block=False)
         for future, result in batch:
             if future.status == "error":
@@ -149,8 +150,8 @@ def _finished(client: Any, futures: list[Any], address: str, patience: float) ->
             if future.cancelled():
                 raise CancelledError
             yield future, result
-        left -= len(batch)
+        remaining -= len(batch)
         if not batch and time.monotonic() - since > _LOOK_S:
-            _refuse_small(_await_workers(client, address, patience))  # others may have come
+            _refuse_small(_await_workers(client, address, patience))  # new workers may have come
             since = time.monotonic()
         time.sleep(0.1)

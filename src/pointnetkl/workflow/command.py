@@ -1,4 +1,4 @@
-"""What every stage's script shares: arguments, and errors told in one sentence with a non-zero exit."""
+"""Command lines of the stages: the option --params, and errors as one sentence with a non-zero exit status."""
 
 import argparse
 import sys
@@ -9,7 +9,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """Return a parser with the option that every stage has: which parameter file to read."""
+    """Return a parser with the option that every stage has: the parameter file to read."""
     arguments = argparse.ArgumentParser(description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     arguments.add_argument("--params", type=Path, default=Path("params.yaml"), help="parameter file")
     return arguments

@@ -1,8 +1,8 @@
-"""Map a function over submaps, in order; the answer never depends on who does the work, or how many.
+"""Map a function over submaps. Results are in the order of the items, whatever the number and kind of workers.
 
-`over` is for hours of work: local processes, or a Dask cluster when DASK_SCHEDULER_ADDRESS names one. Function and
-items travel to them, so they hold paths and not clouds. `in_threads` is for seconds of it, in kernels that release
-Python's lock, on what is in memory already.
+`over` is for hours of work, in local processes or, if DASK_SCHEDULER_ADDRESS is set, on a Dask cluster. Function and
+items are sent to the workers, so they should hold paths and not clouds. `in_threads` is for seconds of work in kernels
+that release Python's lock, on data in memory.
 """
 
 import contextlib
@@ -29,35 +29,35 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 
 class ComputeError(PointNetKLError):
-    """A setting of the workers makes no sense, or they did not survive."""
+    """The number of workers is not a number, or a worker died."""
 
 
 def workers() -> int:
-    """Return how many workers to use: POINTNETKL_WORKERS, or one per core that this process may use.
+    """Return the number of workers: POINTNETKL_WORKERS, or one for each core that this process may use.
 
     Raises:
-        ComputeError: POINTNETKL_WORKERS is not a number of workers.
+        ComputeError: POINTNETKL_WORKERS is not a whole number of at least 1.
     """
-    asked = os.environ.get("POINTNETKL_WORKERS")
-    if asked is None:
+    value = os.environ.get("POINTNETKL_WORKERS")
+    if value is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not asked.isdecimal() or int(asked) < 1:
-        raise ComputeError(f"POINTNETKL_WORKERS is {asked!r}, must be a whole number of at least 1")
-    return int(asked)
+    if not value.isdecimal() or int(value) < 1:
+        raise ComputeError(f"POINTNETKL_WORKERS is {value!r}, must be a whole number of at least 1")
+    return int(value)
 
 
 def over(
     function: Callable[[Item], Result], items: Sequence[Item], doing: str, processes: bool = True, unit: str = "submap"
 ) -> list[Result]:
-    """Return the function of every item, in order, with a progress bar that says what is being done to what.
+    """Return the results of a function on items, in their order, with a progress bar named `doing`.
 
-    It runs in local processes (in threads where processes would take turns, as at one GPU), or on the Dask cluster of
-    DASK_SCHEDULER_ADDRESS; with POINTNETKL_WORKERS=1 in this process, whatever else is set. The function keeps its
-    work itself where that is to survive a failure.
+    It runs on the Dask cluster of DASK_SCHEDULER_ADDRESS if that is set, else in local processes; without `processes`
+    in threads, for work that would wait for one GPU. POINTNETKL_WORKERS=1 runs it in this process in any case. The
+    results are lost if a worker dies: a function whose work should survive writes it to disk.
 
     Raises:
-        ComputeError: POINTNETKL_WORKERS is not a number of workers, or a local worker died.
-        ClusterError: a worker of the cluster died, or there is none, or no cluster at the address.
+        ComputeError: POINTNETKL_WORKERS is not a whole number of at least 1, or a local worker died.
+        ClusterError: no scheduler answers at the address, it has no workers, or one died.
     """
     if not items:
         return []
@@ -75,7 +75,7 @@ def over(
 def in_threads(
     function: Callable[[Item], Result], items: Sequence[Item], doing: str, unit: str = "submap"
 ) -> list[Result]:
-    """Return the function of every item, in order, by threads of this process."""
+    """Return the results of a function on items, in their order, computed by threads of this process."""
     with ThreadPoolExecutor(workers()) as pool:
         return list(progress(pool.map(function, items), doing, len(items), unit))
 
@@ -88,8 +88,8 @@ def progress(items: Iterable[Item], doing: str, total: int, unit: str = "submap"
 def _in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], doing: str, count: int, unit: str
 ) -> list[Result]:
-    # A server that has imported the function's module forks the workers: a fork of this process would inherit its
-    # libraries' threads, and a fresh interpreter for each would import everything again.
+    # A server that has imported the function's module forks the workers. A fork of this process would inherit the
+    # threads of its libraries, and fresh interpreters would each import everything again.
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context: Any = multiprocessing.get_context(method)
     context.set_forkserver_preload([getattr(function, "func", function).__module__])
@@ -121,7 +121,7 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    # Ctrl-C is the parent's to answer; and when the parent dies, however it does, nobody else would end this process
+    # the parent handles Ctrl-C; and nothing else ends this process when the parent dies
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -1,10 +1,10 @@
-"""The root of this package's exceptions: each module defines its own one below it."""
+"""The root of this package's exceptions; each module derives its own from it."""
 
 
 class PointNetKLError(Exception):
-    """Bad input or an impossible request, told in one sentence: what, where, and what to do."""
+    """Bad input or an impossible request; the message is one sentence: what, where, and what to do."""
 
 
-def printable(told: object) -> str:
-    """Return what a file or a library says, cut to 200 letters, in one line without control characters."""
-    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(told).split()))[:200]
+def printable(text: object) -> str:
+    """Return the text of a file or of a library's error in one line of 200 letters at most, no control characters."""
+    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(text).split()))[:200]

@@ -1,4 +1,4 @@
-"""Sections of a parameter file as typed settings: a wrong type or an unknown name is refused, never guessed."""
+"""Read sections of a parameter file as typed settings; wrong types and unknown names are errors."""
 
 import dataclasses
 import math
@@ -22,9 +22,9 @@ class SettingsError(PointNetKLError):
 def read(path: Path, section: str, kind: type[T]) -> T:
     """Return one section of a YAML parameter file as the dataclass `kind`.
 
-    `section` may be dotted (`study.surveys.baltic`). Field types may be int, float, str, bool, another
-    dataclass, `list[...]`, `dict[str, ...]`, or a union of those with None. A dataclass may refuse its values by a
-    ValueError from `__post_init__`, whose text begins with the field's name.
+    `section` may be dotted (`study.surveys.baltic`). Fields may be int, float, str, bool, another dataclass,
+    `list[...]`, `dict[str, ...]`, or a union of those with None. A dataclass refuses values by a ValueError from
+    `__post_init__` whose text begins with the field's name.
 
     Raises:
         SettingsError: the file, section or a field is missing, unknown, of the wrong type or refused.
@@ -32,8 +32,8 @@ def read(path: Path, section: str, kind: type[T]) -> T:
     value: Any = _load(path)
     for name in section.split("."):
         if not isinstance(value, dict) or name not in value:
-            known = ", ".join(map(str, value)) if isinstance(value, dict) and value else "nothing"
-            raise SettingsError(f"{path}: there is no {section}; at {name!r} the file has {known}")
+            names = ", ".join(map(str, value)) if isinstance(value, dict) and value else "nothing"
+            raise SettingsError(f"{path}: there is no {section}; at {name!r} the file has {names}")
         value = value[name]
     return typing.cast(T, _convert(value, kind, f"{path}: {section}"))
 
@@ -44,10 +44,10 @@ def as_metadata(settings: object) -> dict[str, Any]:
 
 
 def from_metadata(metadata: Mapping[str, Any], section: str, kind: type[T], origin: Path) -> T:
-    """Return the section of an artifact's metadata, as `as_metadata` gave it, as the dataclass `kind`.
+    """Return a section of an artifact's metadata, written by `as_metadata`, as the dataclass `kind`.
 
     Raises:
-        SettingsError: the metadata lacks the section, or the section is not what `kind` can hold.
+        SettingsError: the metadata lacks the section, or the section does not fit `kind`.
     """
     if section not in metadata:
         raise SettingsError(f"{origin}: does not say with which {section} it was made; run its stage again (dvc repro)")
@@ -66,7 +66,7 @@ def require_positive(settings: object, *names: str) -> None:
 
 
 def require_within(settings: object, lowest: float, highest: float, *names: str) -> None:
-    """Refuse, from a dataclass's `__post_init__`, numbers out of a range that holds whatever makes sense.
+    """Refuse, from a dataclass's `__post_init__`, numbers outside a range.
 
     Raises:
         ValueError: one of the named fields is below `lowest` or above `highest`.
@@ -138,7 +138,9 @@ def _is_required(field: "dataclasses.Field[Any]") -> bool:
 
 
 def _wrong_type(value: Any, kind: Any, where: str) -> str:
-    wanted = {float: "a finite number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))
-    # YAML takes 1e-4 for text, and so does `-S`: the point is what makes it a number
+    expected = {float: "a finite number", int: "a whole number", str: "text", bool: "true or false"}.get(
+        kind, str(kind)
+    )
+    # YAML, and so `dvc exp run -S`, reads 1e-4 as text; with a point it is a number
     hint = "; write it with a point, as 1.0e-4" if kind is float and isinstance(value, str) else ""
-    return f"{where} is {value!r}, must be {wanted}{hint}"
+    return f"{where} is {value!r}, must be {expected}{hint}"

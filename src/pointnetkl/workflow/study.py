@@ -1,4 +1,4 @@
-"""The surveys of the study: where each one's raw data are, and the numbers that stand in its line."""
+"""The surveys of the study, one line of params.yaml each: where their raw data are, and a few numbers."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,7 @@ class StudySurvey:
     label_runs: int  # registrations per Monte Carlo label
 
     def __post_init__(self) -> None:
-        """Refuse what no submap can be cut by."""
+        """Refuse lengths and counts that no submap can be cut with."""
         parameters.require_positive(self, "submap_length_m", "point_spacing_m", "label_runs")
         if self.label_runs > MOST_RUNS:
             raise ValueError(f"label_runs is {self.label_runs}, must be at most {MOST_RUNS}")
@@ -38,17 +38,17 @@ class StudySurvey:
 
 @dataclass(frozen=True)
 class Study:
-    """The surveys that are trained on, those that are tested on, and all of them."""
+    """The training surveys, the test surveys, and all of them."""
 
     train: dict[str, StudySurvey]
     test: dict[str, StudySurvey]
     surveys: dict[str, StudySurvey]
-    scale: str = "unnamed"  # what the files of scales/ call the numbers of params.yaml
+    scale: str = "unnamed"  # name of the numbers in params.yaml, set by the files of scales/
     models: list[str] = field(default_factory=lambda: list(_PREDICTING))  # those of section `models` that are trained
     unscaled: str = "data/none"  # the weights of pointnetkl_unscaled, where it is one of them
 
     def __post_init__(self) -> None:
-        """Refuse a study that would test on what it trained on, or that lacks a model.
+        """Refuse a study that tests on training data, or that lacks a model.
 
         Raises:
             ValueError: a survey, or its raw files, are in both groups, or its line names the other one; a model is
@@ -79,7 +79,7 @@ def read(path: Path) -> Study:
 
 
 def survey(path: Path, name: str) -> StudySurvey:
-    """Return one survey's line; what other surveys' lines say does not matter.
+    """Return one survey's line; other surveys' lines are not checked.
 
     Raises:
         SettingsError: there is no such survey, or its line is wrong.
