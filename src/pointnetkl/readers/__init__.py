@@ -1,4 +1,4 @@
-"""Readers of raw surveys: files of any known format become the pings and soundings of one map frame."""
+"""Readers of raw surveys: files of any supported format become pings and soundings in one map frame."""
 
 import re
 import shutil
@@ -6,30 +6,29 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
 from pointnetkl.readers import cleaning, formats, georeference, navigation, sbet, spool
-from pointnetkl.readers.formats import FORMATS
-from pointnetkl.readers.georeference import Take
+from pointnetkl.readers.formats import FORMATS, Content
+from pointnetkl.readers.georeference import Sink
 from pointnetkl.readers.spool import Spool
 from pointnetkl.surveys.survey import TRAJECTORY, Survey, SurveyError
 from pointnetkl.workflow import artifacts, compute, errors
 
 __all__ = ["FORMATS", "ReaderError", "Settings", "files", "read", "read_truth"]
 
-_BESIDE = (".dvc", ".crs")  # what belongs to raw files and is none
-_NAVIGATION = {"SBET": sbet}
-_NAMED = 3  # of the files that are passed over, the others are only counted
+_COMPANIONS = (".dvc", ".crs")  # extensions of files that belong to a raw file
+_NAVIGATION: Mapping[str, Content] = {"SBET": sbet}
+_NAMED = 3  # ignored files that a message names; it counts the others
 _SPOOL = ".spool-"
-_SMALL_BYTES = 1 << 26  # in all: not worth the start of another process
+_SMALL_BYTES = 1 << 26  # of all files together, below which other processes are not worth their start
 
 
 class ReaderError(SurveyError):
-    """A raw survey cannot be found, or is of no known format."""
+    """A raw survey is missing or of no known format, or its truth does not fit it."""
 
 
 @dataclass(frozen=True)
@@ -45,65 +44,66 @@ class Settings:
     outliers: cleaning.Settings = cleaning.NONE
 
     def __post_init__(self) -> None:
-        """Refuse a zone that is not one before any file is read."""
+        """Refuse a wrong value before any file is read."""
         if not re.fullmatch(r"auto|EPSG:\d{4,6}", self.utm_zone):
             raise ValueError(f"utm_zone is {self.utm_zone!r}, must be auto or a code such as EPSG:32633")
         if self.sbet_clock not in (sbet.GPS, sbet.UTC):
             raise ValueError(f"sbet_clock is {self.sbet_clock!r}, must be {sbet.GPS} or {sbet.UTC}")
 
 
-def read(path: Path, how: Settings, take: Take, scratch: Path | None = None) -> Survey:
-    """Read a raw survey: a file, or all files of a folder, which need not be of one format.
+def read(path: Path, settings: Settings, sink: Sink, scratch: Path | None = None) -> Survey:
+    """Read a raw survey: a file, or all files of a folder, which may be of several formats.
 
-    Soundings may not fit in memory: `take` gets them part by part (survey.SOUNDINGS), in order of ping and beam,
-    and meanwhile they stand in a folder below `scratch`, 29 bytes each. With `utm_zone` auto, longitudes and latitudes
-    come into the UTM zone of the first position, and the whole survey stays in it. What was read and skipped, and why,
-    is in the report.
+    Soundings may not fit in memory. Until all files are read they are kept in a folder below `scratch`, 29 bytes each;
+    then `sink` gets them part by part (survey.SOUNDINGS), in order of ping and beam. With `utm_zone` auto, longitudes
+    and latitudes are projected to the UTM zone of the first position. The survey's report says what was read, what was
+    skipped, and why.
 
     Raises:
-        ReaderError: nothing is there.
+        ReaderError: the path is missing, or a folder without raw files.
         SurveyError: a file is empty, of no known format or damaged beyond use, or no file has a usable ping.
     """
-    found, passed = files(path)
+    raw, ignored = files(path)
     if scratch is not None:
         scratch.mkdir(parents=True, exist_ok=True)
-        for left in scratch.glob(f"{_SPOOL}*"):  # by a run that was killed; as large as the survey
-            shutil.rmtree(left, ignore_errors=True)
+        for abandoned in scratch.glob(f"{_SPOOL}*"):  # as large as a survey, of a run that was killed
+            shutil.rmtree(abandoned, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=_SPOOL, dir=scratch) as folder:
-        tracks = [file for file in found if navigation.known(file)]
-        spools = _spools([file for file in found if file not in tracks], Path(folder))
+        tracks = [file for file in raw if navigation.is_navigation(file)]
+        spools = _spools([file for file in raw if file not in tracks], Path(folder))
         if tracks:
-            spools = navigation.replaced(spools, tracks, how.sbet_clock)
-        survey = georeference.survey(spools, how.utm_zone, take, how.outliers)
-    problems = [f"passed over: {_counted(passed)}"] * bool(passed) + survey.report["problems"]
+            spools = navigation.replace_navigation(spools, tracks, settings.sbet_clock)
+        survey = georeference.survey(spools, settings.utm_zone, sink, settings.outliers)
+    problems = [f"passed over: {_ignored_files(ignored)}"] * bool(ignored) + survey.report["problems"]
     return replace(survey, report=survey.report | {"problems": problems})
 
 
-def files(path: Path, others: Mapping[str, ModuleType] = _NAVIGATION) -> tuple[list[Path], list[Path]]:
-    """Return a raw file, or those of a folder that are of known formats, and its others; in natural order of names.
+def files(path: Path, others: Mapping[str, Content] = _NAVIGATION) -> tuple[list[Path], list[Path]]:
+    """Return the raw files of a folder and the files that are ignored, both in natural order of names.
 
-    Known are formats.FORMATS and `others`. Hidden files, and those that belong to a raw one, are neither.
+    Raw files are those of formats.FORMATS or `others`. Hidden files, and files that belong to a raw file, are in
+    neither list. A path to a file is returned as the one raw file.
 
     Raises:
-        ReaderError: nothing is there.
+        ReaderError: the path is missing, or a folder without raw files.
     """
     if not path.exists():
         raise ReaderError(f"{path}: is missing; give a raw file or a folder of raw files")
     if path.is_file():
         return [path], []
-    every = [file for file in path.rglob("*") if file.is_file() and _may_be_raw(file.relative_to(path))]
-    raw = [file for file in sorted(every, key=_natural) if formats.is_raw(file, {**formats.FORMATS, **others})]
-    passed = sorted(set(every) - set(raw), key=_natural)
+    candidates = [file for file in path.rglob("*") if file.is_file() and _may_be_raw(file.relative_to(path))]
+    raw = [file for file in sorted(candidates, key=_natural) if formats.is_raw(file, {**formats.FORMATS, **others})]
+    ignored = sorted(set(candidates) - set(raw), key=_natural)
     if not raw:
-        beside = f", and {_counted(passed)}" if passed else ""
-        raise ReaderError(f"{path}: has no raw files{beside}; put some there, or run dvc pull")
-    return raw, passed
+        also = f", and {_ignored_files(ignored)}" if ignored else ""
+        raise ReaderError(f"{path}: has no raw files{also}; put some there, or run dvc pull")
+    return raw, ignored
 
 
 def read_truth(path: Path, survey: Survey) -> pd.DataFrame:
-    """Read the true trajectory of a survey into its map frame (schema TRAJECTORY); no rows from data/none.
+    """Read the true trajectory of a survey into its map frame (schema TRAJECTORY); data/none gives no rows.
 
-    Its x_m and y_m are in the survey's CRS, which its own metadata must name if they name one.
+    The file's x_m and y_m are in the survey's CRS; a CRS in the file's metadata must be the same.
 
     Raises:
         ReaderError: the file is missing, in another CRS, not finite, or of another time than the survey.
@@ -119,8 +119,8 @@ def read_truth(path: Path, survey: Survey) -> pd.DataFrame:
     crs = (pq.read_schema(path).metadata or {}).get(b"crs", survey.crs.encode()).decode("utf-8", "replace")
     if crs != survey.crs:
         raise ReaderError(f"{path}: is in {crs} and the survey in {survey.crs}; bring both to one coordinate system")
-    if lost := int(np.sum(~np.isfinite(truth.to_numpy()).all(axis=1))):
-        raise ReaderError(f"{path}: {lost} of its {len(truth)} rows are not finite; take them out")
+    if not_finite := int(np.sum(~np.isfinite(truth.to_numpy()).all(axis=1))):
+        raise ReaderError(f"{path}: {not_finite} of its {len(truth)} rows are not finite; take them out")
     begin, end = survey.pings["time_s"].iloc[[0, -1]]
     if truth.empty or truth["time_s"].iloc[0] > end or truth["time_s"].iloc[-1] < begin:
         raise ReaderError(
@@ -137,16 +137,17 @@ def _spools(files: Sequence[Path], folder: Path) -> list[Spool]:
 
 
 def _may_be_raw(file: Path) -> bool:
-    return not any(part.startswith(".") for part in file.parts) and file.suffix.lower() not in _BESIDE
+    return not any(part.startswith(".") for part in file.parts) and file.suffix.lower() not in _COMPANIONS
 
 
-def _counted(files: Sequence[Path]) -> str:
+def _ignored_files(files: Sequence[Path]) -> str:
     names = ", ".join(errors.printable(file.name) for file in files[:_NAMED])
     more = f", and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
-    return f"{len(files)} file{'s'[: len(files) > 1]} of no known format, {names}{more}"
+    noun = "file" if len(files) == 1 else "files"
+    return f"{len(files)} {noun} of no known format, {names}{more}"
 
 
 def _natural(file: Path) -> tuple[list[str | int], str]:
-    """Return the key by which line_2 stands before line_10."""
+    """Return a key that sorts line_2 before line_10."""
     words = re.split(r"(\d+)", str(file))
     return [int(word) if word.isdecimal() else word for word in words], str(file)

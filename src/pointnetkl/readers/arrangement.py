@@ -1,4 +1,4 @@
-"""The pings of many raw files as those of one survey: which are used, and in which order."""
+"""The pings of many raw files, as those of one survey: chosen, and in the order of time."""
 
 import itertools
 from collections import Counter
@@ -11,11 +11,15 @@ from pointnetkl.readers import projection
 from pointnetkl.readers.spool import Spool
 from pointnetkl.surveys.survey import SUBMAPS, SurveyError
 
-DEEPEST_M = 12_000.0  # no seabed lies below
+DEEPEST_M = 12_000.0  # no seabed is deeper
 
-_FASTEST_M_S, _JITTER_M = 100.0, 200.0  # a position off the track by more than this is a damaged one
-_ALIKE, _ALIKE_M, _ALIKE_COS = 0.1, 10.0, 0.995  # of the swath's spread, metres and the turn that processing changes
-_HEADS = 9  # pings of one time, about: so many are compared with one another
+_FASTEST_M_S, _JITTER_M = 100.0, 200.0  # a position farther off the track than this allows is damaged
+_ALIKE_SHARE, _ALIKE_M, _ALIKE_COS = (
+    0.1,
+    10.0,
+    0.995,
+)  # what processing may change: share of the swath's spread, place, cosine of the turn
+_HEADS = 9  # pings at one time that are compared with one another
 
 
 class ArrangementError(SurveyError):
@@ -23,7 +27,7 @@ class ArrangementError(SurveyError):
 
 
 def in_time_order(spools: Sequence[Spool]) -> list[Spool]:
-    """Return the files by their first ping's time; submaps and points, which have none, as they are."""
+    """Return the files by the time of their first ping; files without times (submaps, points) keep their order."""
     return sorted(spools, key=_begin)
 
 
@@ -31,7 +35,7 @@ def common(spools: Sequence[Spool]) -> tuple[str, str]:
     """Return the kind and the CRS of all files.
 
     Raises:
-        ArrangementError: files that hold something are of different kinds or in different CRS.
+        ArrangementError: files with pings or soundings are of different kinds or in different CRS.
     """
     filled = [s for s in spools if len(s.pings) or s.soundings]
     for spool in filled:
@@ -44,12 +48,15 @@ def common(spools: Sequence[Spool]) -> tuple[str, str]:
                 f"{spool.file}: its coordinates are in {spool.crs}, those of {filled[0].file} in {filled[0].crs};"
                 " bring the files of a survey to one coordinate system"
             )
-    told = filled or spools
-    return told[0].kind, told[0].crs
+    source = (filled or spools)[0]
+    return source.kind, source.crs
 
 
 def usable(spools: Sequence[Spool], crs: str, kind: str, skipped: Counter[str]) -> pd.DataFrame:
-    """Return the pings to use, in order of time; `file` and `source` say of which spool; counts what is left out."""
+    """Return the pings to use, in the order of time, and count in `skipped` those that are left out.
+
+    The columns `file` and `source` are the name and the index of a ping's spool.
+    """
     tables = [s.pings.assign(file=s.file, source=number) for number, s in enumerate(spools)]
     pings = pd.concat(tables, ignore_index=True)
     if pings.empty:
@@ -57,22 +64,22 @@ def usable(spools: Sequence[Spool], crs: str, kind: str, skipped: Counter[str]) 
     if kind == SUBMAPS:
         pings["time_s"] = np.arange(len(pings), dtype=np.float64)
     pings = _without(pings, ~np.isfinite(pings["time_s"]), "pings without a time", skipped)
-    pings = _without(pings, _nowhere(pings, crs), "pings without a position on the earth", skipped)
+    pings = _without(pings, _off_earth(pings, crs), "pings without a position on the earth", skipped)
     unknown = ~np.isfinite(pings["heading_rad"]) | ~(pings["depth_m"].abs() < DEEPEST_M)
     pings = _without(pings, unknown, "pings without a heading or depth", skipped)
     pings = pings.iloc[np.argsort(pings["time_s"].to_numpy(), kind="stable")]
-    pings = _without(pings, _copies(pings), "pings that stand twice", skipped)
-    pings = _without(pings, _repeats(pings, crs), "pings that another file has too", skipped)
+    pings = _without(pings, _duplicates(pings), "pings that stand twice", skipped)
+    pings = _without(pings, _in_earlier_files(pings, crs), "pings that another file has too", skipped)
     if kind != SUBMAPS:
         pings = _without(pings, _jumps(pings, crs), "pings far off the track", skipped)
     return pings.reset_index(drop=True)
 
 
 def reordered(spools: Sequence[Spool]) -> int:
-    """Return how many pings stand in their files after a later one; they are used, in order of time."""
+    """Return how many pings stand in their file after a later ping."""
     times = (spool.pings["time_s"].to_numpy(np.float64) for spool in spools)
-    known = (time[np.isfinite(time)] for time in times)
-    return sum(int(np.sum(time < np.maximum.accumulate(time))) for time in known if len(time))
+    finite = (time[np.isfinite(time)] for time in times)
+    return sum(int(np.sum(time < np.maximum.accumulate(time))) for time in finite if len(time))
 
 
 def _begin(spool: Spool) -> float:
@@ -80,7 +87,7 @@ def _begin(spool: Spool) -> float:
     return float(first) if np.isfinite(first) else np.inf
 
 
-def _nowhere(pings: pd.DataFrame, crs: str) -> np.ndarray:
+def _off_earth(pings: pd.DataFrame, crs: str) -> np.ndarray:
     east, north = pings["east"].to_numpy(), pings["north"].to_numpy()
     lost = ~np.isfinite(east + north)
     if crs == projection.GEOGRAPHIC:
@@ -96,21 +103,21 @@ def _without(pings: pd.DataFrame, unusable: np.ndarray, reason: str, skipped: Co
     return pings[~np.asarray(unusable)]
 
 
-def _copies(pings: pd.DataFrame) -> np.ndarray:
-    """Return which pings a file has had before, all the same: a datagram that it holds twice."""
-    # the heads of a sonar share a time and a place, and never their soundings
-    same = ["source", "time_s", "east", "north", "heading_rad", "count", "digest"]
-    alike = np.diff(pings["time_s"].to_numpy(), prepend=-np.inf) == 0
-    rows = np.flatnonzero((alike | np.append(alike[1:], False)) & (pings["count"].to_numpy() > 0))
+def _duplicates(pings: pd.DataFrame) -> np.ndarray:
+    """Return which pings (n,) repeat an earlier ping of their file: the file holds a datagram twice."""
+    # the heads of a sonar share time and place, but not their soundings
+    columns = ["source", "time_s", "east", "north", "heading_rad", "count", "digest"]
+    same_time = np.diff(pings["time_s"].to_numpy(), prepend=-np.inf) == 0
+    rows = np.flatnonzero((same_time | np.append(same_time[1:], False)) & (pings["count"].to_numpy() > 0))
     copies = np.zeros(len(pings), bool)
-    copies[rows] = pings.iloc[rows].duplicated(same).to_numpy()
+    copies[rows] = pings.iloc[rows].duplicated(columns).to_numpy()
     return copies
 
 
-def _repeats(pings: pd.DataFrame, crs: str) -> np.ndarray:
-    """Return which pings an earlier file has as well: copied, or recorded by one program and processed by another.
+def _in_earlier_files(pings: pd.DataFrame, crs: str) -> np.ndarray:
+    """Return which pings (n,) an earlier file has as well: copied, or recorded by one program and processed by another.
 
-    Pings of one time and place that see different ground are the heads of a sonar, be it in one file or in two.
+    Pings at one time and place that see different ground are the heads of a sonar, in one file or in two.
     """
     time, source = pings["time_s"].to_numpy(), pings["source"].to_numpy()
     first = pings.groupby(["time_s", "count", "digest"], sort=False)["source"].transform("first").to_numpy()
@@ -122,21 +129,21 @@ def _repeats(pings: pd.DataFrame, crs: str) -> np.ndarray:
     return repeats
 
 
-def _alike(some: pd.DataFrame, others: pd.DataFrame, crs: str) -> np.ndarray:
-    """Return which pings are those of the same row in another table, but for what processing changes."""
-    east, north = (np.concatenate([table[name].to_numpy() for table in (some, others)]) for name in ("east", "north"))
+def _alike(pings: pd.DataFrame, others: pd.DataFrame, crs: str) -> np.ndarray:
+    """Return which pings (n,) equal the ping in the same row of `others`, apart from what processing changes."""
+    east, north = (np.concatenate([table[name].to_numpy() for table in (pings, others)]) for name in ("east", "north"))
     if crs == projection.GEOGRAPHIC:
         east, north = projection.roughly(east, north)
     away = np.hypot(np.subtract(*np.split(east, 2)), np.subtract(*np.split(north, 2)))
     names = ("heading_rad", "middle_m", "spread_m", "count")
-    (turned, aside, wider, more) = (some[name].to_numpy() - others[name].to_numpy() for name in names)
-    spread = _ALIKE * others["spread_m"].to_numpy()
+    (turned, aside, wider, more) = (pings[name].to_numpy() - others[name].to_numpy() for name in names)
+    spread = _ALIKE_SHARE * others["spread_m"].to_numpy()
     seen = (np.abs(aside) <= spread) & (np.abs(wider) <= spread) & (more == 0)
     return np.asarray(seen & (away < _ALIKE_M) & (np.cos(turned) > _ALIKE_COS))
 
 
 def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
-    """Return which pings lie farther from the median of five neighbours than any vehicle moves."""
+    """Return which pings (n,) are farther from the median of five neighbours than any vehicle can move."""
     if len(pings) < 5:
         return np.zeros(len(pings), bool)
     time, east, north = (pings[name].to_numpy() for name in ("time_s", "east", "north"))
@@ -150,14 +157,15 @@ def _jumps(pings: pd.DataFrame, crs: str) -> np.ndarray:
 
 
 def _unreachable(time: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Return which pings (n,) no vehicle comes to from the longest run of pings that one could have sailed.
+    """Return which pings (n,) no vehicle can reach from the longest run of pings without a jump.
 
-    A run of wild positions, as of a receiver that has lost its satellites, would agree with itself.
+    The median of neighbours misses a run of wild positions, such as of a receiver that has lost its satellites, because
+    such positions agree with one another.
     """
 
-    def reached(one: int, other: int) -> bool:
-        distance = float(np.hypot(east[one] - east[other], north[one] - north[other]))
-        return distance <= _JITTER_M + _FASTEST_M_S * abs(float(time[one] - time[other]))
+    def reachable(first: int, second: int) -> bool:
+        distance = float(np.hypot(east[first] - east[second], north[first] - north[second]))
+        return distance <= _JITTER_M + _FASTEST_M_S * abs(float(time[first] - time[second]))
 
     apart = np.hypot(np.diff(east), np.diff(north)) > _JITTER_M + _FASTEST_M_S * np.diff(time)
     runs = list(itertools.pairwise([0, *(1 + np.flatnonzero(apart)).tolist(), len(time)]))
@@ -165,12 +173,12 @@ def _unreachable(time: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.nd
     lost = np.zeros(len(time), bool)
     before = after = runs[longest]
     for run in runs[longest + 1 :]:
-        if reached(before[1] - 1, run[0]):
+        if reachable(before[1] - 1, run[0]):
             before = run
         else:
             lost[slice(*run)] = True
     for run in reversed(runs[:longest]):
-        if reached(after[0], run[1] - 1):
+        if reachable(after[0], run[1] - 1):
             after = run
         else:
             lost[slice(*run)] = True

@@ -1,4 +1,4 @@
-"""Longitude and latitude to a map in metres, with the turn and scale that the map has at each place."""
+"""Longitude and latitude to a map in metres, with the map's rotation and scale at each place."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +16,15 @@ _STEP_M = 10.0  # for differences: small against the earth, large against roundi
 
 
 class ProjectionError(SurveyError):
-    """A coordinate system is unknown or cannot hold a map in metres."""
+    """A coordinate system is unknown, or is not a map in metres."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where n pings lie in a projected CRS, and how that CRS turns and stretches the ground there.
+    """Places of n pings in a projected CRS, and the rotation and scale of the map there.
 
-    On a conformal map a straight line on the ground stays straight to some 1e-5 of its length over a swath,
-    while neglecting the turn (meridian convergence) costs metres at the edge of a UTM zone.
+    On a conformal map a straight line on the ground stays straight to some 1e-5 of its length over a swath. To neglect
+    the rotation (meridian convergence) would cost metres at the edge of a UTM zone.
     """
 
     crs: str
@@ -32,21 +32,21 @@ class Frame:
     y: np.ndarray  # (n,) northing, metres
     tangent: np.ndarray  # (n, 2, 2) map metres per metre on the ground, columns east and north
 
-    def turned(self, ping: np.ndarray | slice, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return offsets on the ground, metres to true east and north of the pings, as offsets on the map."""
-        t = self.tangent[ping]
-        return t[:, 0, 0] * east + t[:, 0, 1] * north, t[:, 1, 0] * east + t[:, 1, 1] * north
+    def turned(self, row: np.ndarray | slice, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return offsets on the map; `east`, `north` are offsets on the ground, metres from the pings in `row`."""
+        tangent = self.tangent[row]
+        return tangent[:, 0, 0] * east + tangent[:, 0, 1] * north, tangent[:, 1, 0] * east + tangent[:, 1, 1] * north
 
 
 def frame(crs: str, zone: str, east: np.ndarray, north: np.ndarray) -> Frame:
-    """Return positions (n,) as a frame: projected to `zone` if longitudes and latitudes, else as they are.
+    """Return positions (n,) as a frame: longitudes and latitudes are projected to `zone`, others stay as they are.
 
     Raises:
         ProjectionError: the zone is not a projected CRS in metres, or does not reach all positions.
     """
     if crs != GEOGRAPHIC:
         return Frame(crs, east, north, np.broadcast_to(np.eye(2), (len(east), 2, 2)))
-    from pyproj import Transformer  # takes its time, and projected surveys do without
+    from pyproj import Transformer  # slow to import, and projected surveys do not need it
 
     target = utm(float(east[0]), float(north[0])) if zone == AUTO else _metric(zone)
     to_map = Transformer.from_crs(GEOGRAPHIC, target, always_xy=True)
@@ -65,7 +65,7 @@ def frame(crs: str, zone: str, east: np.ndarray, north: np.ndarray) -> Frame:
 
 
 def beside(path: Path) -> str:
-    """Return the CRS that a file `.crs` beside a raw file names; LOCAL without one.
+    """Return the CRS named in a file with the raw file's name and the extension .crs; LOCAL without such a file.
 
     Raises:
         ProjectionError: the file names no CRS, or cannot be read.
@@ -89,7 +89,7 @@ def utm(longitude: float, latitude: float) -> str:
 
 
 def roughly(longitude: np.ndarray, latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return metres east and north of the first position, good enough to tell a jump from a track."""
+    """Return metres east and north of the first position, good enough to find jumps in a track."""
     per_east, per_north = _degrees_per_metre(latitude)
     turn = np.mod(longitude - longitude[0] + 180.0, 360.0) - 180.0  # a track may cross the date line
     return turn / per_east, (latitude - latitude[0]) / per_north

@@ -1,4 +1,4 @@
-"""One cloud from one file, as other programs write it: PCD, PLY, NPZ or text, known by content and not by name."""
+"""One cloud from one file of another program: PCD, PLY, NPZ or text, recognised by content and not by name."""
 
 import io
 import re
@@ -24,12 +24,12 @@ _AXES = ("x", "y", "z")
 
 
 class CloudFileError(PointNetKLError):
-    """A file is missing, damaged, or holds no cloud of a known form."""
+    """A file is missing or damaged, or is no cloud in a known format."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What a header says of the rows after it."""
+    """The rows of a PCD or PLY file, by its header."""
 
     row: np.dtype  # a field for each name
     rows: int
@@ -37,14 +37,14 @@ class Layout:
 
 
 def read(path: Path) -> np.ndarray:
-    """Return the points (n, 3) of a file, float64, in the unit and frame that it has.
+    """Return the points (n, 3) of a file, float64, in the file's unit and frame.
 
-    PCD (its VIEWPOINT is not applied) and PLY, of any further fields; NPZ with an array `points`; or text, between
-    commas or blanks, after `#` or `//` comments, x, y and z in the columns that its first line names so (or x_m, y_m,
-    z_m), and where that names none, in the first three.
+    Formats are PCD (its VIEWPOINT is not applied) and PLY with any further fields; NPZ with an array `points`; and text
+    with commas or blanks between its columns and `#` or `//` before comments. The first line of a text may name the
+    columns x, y and z (or x_m, y_m, z_m); otherwise they are the first three.
 
     Raises:
-        CloudFileError: the file is missing, damaged or of another form.
+        CloudFileError: the file is missing or damaged, or in another format.
     """
     return _guarded(path, _points)
 
@@ -53,7 +53,7 @@ def read_posed(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the points (n, 3) of a PCD file, in its sensor's frame, and T_map_sensor (4, 4), its VIEWPOINT.
 
     Raises:
-        CloudFileError: the file is missing or damaged, or of a form that has no pose.
+        CloudFileError: the file is missing or damaged, or has no pose.
     """
     return _guarded(path, _points), _guarded(path, viewpoint)
 
@@ -65,22 +65,22 @@ def _guarded(path: Path, reading: Callable[[Path, bytes], np.ndarray]) -> np.nda
         raise CloudFileError(f"{path}: cannot be read ({error.strerror})") from error
     except CloudFileError:
         raise
-    except Exception as error:  # numpy, zipfile and UTF-8 each fail in their own ways on damaged bytes
+    except Exception as error:  # numpy, zipfile and UTF-8 raise many errors on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise CloudFileError(f"{path}: is damaged, or no PCD, PLY, NPZ or text of x y z ({reason})") from error
 
 
 def viewpoint(path: Path, content: bytes) -> np.ndarray:
-    """Return the pose (4, 4) that the header of a PCD file has as VIEWPOINT.
+    """Return the VIEWPOINT in the header of a PCD file as a pose (4, 4).
 
     Raises:
-        CloudFileError: there is none, or it is no pose.
+        CloudFileError: there is no VIEWPOINT, or it is not a pose.
     """
     header = _PCD_HEADER.match(content)
-    said = re.search(rb"^VIEWPOINT[ \t]+(.*?)[ \t\r]*$", header[0], re.MULTILINE) if header else None
-    if not said:
+    match = re.search(rb"^VIEWPOINT[ \t]+(.*?)[ \t\r]*$", header[0], re.MULTILINE) if header else None
+    if not match:
         raise CloudFileError(f"{path}: holds no pose; write the submap as PCD with its pose as VIEWPOINT")
-    words = said[1].decode("latin-1").split()
+    words = match[1].decode("latin-1").split()
     if len(words) != 7:
         raise CloudFileError(f"{path}: VIEWPOINT has {len(words)} numbers, must have 7: x y z qw qx qy qz")
     try:
@@ -117,27 +117,27 @@ def _from_npz(path: Path, content: bytes) -> np.ndarray:
 def _from_text(path: Path, content: bytes) -> np.ndarray:
     lines = [re.split("#|//", line)[0].strip() for line in content.decode("utf-8-sig").splitlines()]
     lines = [line for line in lines if line]
-    named = _named(path, lines[0]) if lines else None
+    named = _named_columns(path, lines[0]) if lines else None
     lines = lines[1:] if named else lines
     if not lines:
         raise CloudFileError(f"{path}: holds no points")
     return np.loadtxt(lines, delimiter="," if "," in lines[0] else None, usecols=named or (0, 1, 2), ndmin=2)
 
 
-def _named(path: Path, line: str) -> list[int] | None:
-    """Return which columns a text's first line names x, y and z; None where it has numbers."""
-    bare = re.sub(r"\s*(\[.*?\]|\(.*?\))", "", line)  # of units, which may stand behind a blank
+def _named_columns(path: Path, line: str) -> list[int] | None:
+    """Return the columns that a text's first line names x, y and z; None if it has numbers."""
+    bare = re.sub(r"\s*(\[.*?\]|\(.*?\))", "", line)  # without units, which may follow a blank
     names = [name.strip().strip('"') for name in (bare.split(",") if "," in bare else bare.split())]
-    known = [name.lower().removesuffix("_m") for name in names]
-    if set(_AXES) <= set(known):
-        return [known.index(axis) for axis in _AXES]
-    if any(re.match(r"[-+.]*\d|[-+]?(nan|inf)\b", name) for name in known):
+    lower = [name.lower().removesuffix("_m") for name in names]
+    if set(_AXES) <= set(lower):
+        return [lower.index(axis) for axis in _AXES]
+    if any(re.match(r"[-+.]*\d|[-+]?(nan|inf)\b", name) for name in lower):
         return None
     raise CloudFileError(f"{path}: its columns are {', '.join(names)}; name those of the points x, y and z")
 
 
 def pcd_layout(path: Path, content: bytes) -> tuple[Layout, int]:
-    """Return what the header of a PCD file says of its rows, and the byte where they begin.
+    """Return the layout in the header of a PCD file, and the byte where its rows begin.
 
     Raises:
         CloudFileError: the header is cut or damaged.
@@ -150,13 +150,16 @@ def pcd_layout(path: Path, content: bytes) -> tuple[Layout, int]:
         words = dict(line.split(None, 1) for line in lines if len(line.split()) > 1)
         names = words["FIELDS"].split()
         counts = words.get("COUNT", "1 " * len(names)).split()
-        kinds = [t.lower() + s for t, s in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)]
+        kinds = [
+            type_name.lower() + size
+            for type_name, size in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)
+        ]
         fields = [
-            (f"{name}{i}" if name not in _AXES else name, f"<{kind}", int(count))
-            for i, (name, kind, count) in enumerate(zip(names, kinds, counts, strict=True))
+            (f"{name}{index}" if name not in _AXES else name, f"<{kind}", int(count))
+            for index, (name, kind, count) in enumerate(zip(names, kinds, counts, strict=True))
         ]
         layout = Layout(np.dtype(fields), int(words["POINTS"]), header[1].decode("latin-1").lower())
-    except Exception as error:  # numpy refuses a type in many ways
+    except Exception as error:  # numpy raises many errors on a wrong type
         reason = " ".join(str(error).split())[:80]
         raise CloudFileError(f"{path}: the header of its PCD is damaged ({reason})") from error
     if layout.row.hasobject or any(np.prod(layout.row[name].shape) != 1 for name in _AXES if name in names):
@@ -165,10 +168,10 @@ def pcd_layout(path: Path, content: bytes) -> tuple[Layout, int]:
 
 
 def uncompressed(path: Path, body: bytes, layout: Layout) -> np.ndarray:
-    """Return x, y, z (n, 3) of the rows of a PCD file of compressed binary data: column after column.
+    """Return x, y, z (n, 3) of a PCD file with compressed binary data, which is stored column by column.
 
     Raises:
-        CloudFileError: they are cut or damaged.
+        CloudFileError: the data are cut or damaged.
     """
     if len(body) < 8:
         raise CloudFileError(f"{path}: is cut; it has 0 of {layout.rows} points")
@@ -205,28 +208,28 @@ def _from_ply(path: Path, content: bytes) -> np.ndarray:
     if not header:
         raise CloudFileError(f"{path}: is a PLY file without a line end_header; it may be cut")
     words = [line.split() for line in header[0].decode("latin-1").splitlines()]
-    encoding = next(w[1] for w in words if w[0] == "format")
+    encoding = next(line_words[1] for line_words in words if line_words[0] == "format")
     order = ">" if encoding == "binary_big_endian" else "<"
-    elements = [w for w in words if w[:1] == ["element"]]
+    elements = [line_words for line_words in words if line_words[:1] == ["element"]]
     if not elements or elements[0][1] != "vertex":
         raise CloudFileError(f"{path}: is a PLY file whose first element is not `vertex`; write its points alone")
     first = words.index(elements[0]) + 1
     last = words.index(elements[1]) if len(elements) > 1 else len(words)
-    properties = [w for w in words[first:last] if w[0] == "property"]
-    row = np.dtype([(w[-1], order + _PLY_TYPES[w[1]]) for w in properties])
+    properties = [line_words for line_words in words[first:last] if line_words[0] == "property"]
+    row = np.dtype([(line_words[-1], order + _PLY_TYPES[line_words[1]]) for line_words in properties])
     body = content[header.end() :]
     return _rows(path, body, Layout(row, int(elements[0][2]), "ascii" if encoding == "ascii" else "binary"))
 
 
 def _rows(path: Path, body: bytes, layout: Layout) -> np.ndarray:
-    """Return x, y, z of a header's rows; a library that fills up a cut file with zeros would be no help."""
+    """Return x, y, z of the rows; a library would pad a cut file with zeros."""
     axes_of(path, layout)
     if layout.rows < 0:
         raise CloudFileError(f"{path}: is damaged; its header says that it has {layout.rows} points")
     lines = body.splitlines()[: layout.rows] if layout.encoding == "ascii" else []
-    held = len(lines) if layout.encoding == "ascii" else len(body) // layout.row.itemsize
-    if held < layout.rows:
-        raise CloudFileError(f"{path}: is cut; it has {held} of {layout.rows} points")
+    available = len(lines) if layout.encoding == "ascii" else len(body) // layout.row.itemsize
+    if available < layout.rows:
+        raise CloudFileError(f"{path}: is cut; it has {available} of {layout.rows} points")
     if layout.encoding == "ascii":
         return np.loadtxt(lines, usecols=columns_of(layout.row), ndmin=2, comments=None)
     rows = np.frombuffer(body, layout.row, layout.rows)
@@ -245,7 +248,7 @@ def axes_of(path: Path, layout: Layout) -> tuple[str, ...]:
 
 
 def columns_of(row: np.dtype) -> list[int]:
-    """Return which words of a line of text are x, y and z; a field may be of several."""
+    """Return the indices of x, y and z among the words of a line of text; a field may have several words."""
     names = row.names or ()
     widths = [int(np.prod(row[name].shape)) for name in names]
     return [sum(widths[: names.index(axis)]) for axis in _AXES]

@@ -1,9 +1,9 @@
-"""Generic raw pings: a long table, one row a sounding, as Parquet or CSV. Any sonar's data can be brought so.
+"""Generic raw pings: a long table, one row a sounding, as Parquet or CSV. Any sonar's data can be written so.
 
-Columns: time_s (UTC, seconds since 1970; all rows of a ping share it); longitude_deg and latitude_deg (WGS84), or
-x_m and y_m (projected; the CRS in the Parquet metadata `crs`, a column `crs` or a file `.crs` beside it; these win
-where both are there); depth_m (of the vehicle, positive down), heading_rad (clockwise from true north, or from
-grid north with x_m); along_m (forward), across_m (to starboard), down_m (down from the vehicle). Optional:
+Columns: time_s (UTC, seconds since 1970; the same in all rows of a ping); longitude_deg and latitude_deg (WGS84), or
+x_m and y_m (projected; the CRS in the Parquet metadata `crs`, a column `crs` or a file `.crs` beside it), which are
+used if both pairs are present; depth_m (of the vehicle, positive down), heading_rad (clockwise from true north, or
+from grid north with x_m); along_m (forward), across_m (to starboard), down_m (down from the vehicle). Optional:
 roll_rad, pitch_rad, beam, quality (0: good).
 """
 
@@ -30,26 +30,26 @@ _PROJECTED, _GEOGRAPHIC = ("x_m", "y_m"), ("longitude_deg", "latitude_deg")
 _SOUNDING = ("along_m", "across_m", "down_m")
 _HEADER_BYTES = 1 << 16
 _BLOCK = 1 << 21  # bytes of text that are read at once
-_LARGE, _BUFFER = 1 << 26, 1 << 20  # bytes of a file whose columns are read so many bytes at once
+_LARGE, _BUFFER = 1 << 26, 1 << 20  # bytes of a large file, and bytes of its columns that are read at once
 _LATEST_S = 1e10  # in the year 2286
-_SAME = 1e-6  # how much navigation may differ within a ping: rounding, in metres or radians
+_SAME = 1e-6  # by which navigation may differ within a ping through rounding, metres or radians
 
 Columns = dict[str, np.ndarray]
 
 
 class GenericError(SurveyError):
-    """A file of generic pings lacks a column, or holds something that is not a number or not in its unit."""
+    """A file of generic pings lacks a column, or a column has no numbers or another unit."""
 
 
 def begins(head: bytes) -> bool:
     """Whether the first bytes of a file are those of generic pings."""
     names = head.split(b"\n", 1)[0]
-    # any of the names that no table of points has: else one without a time would pass for points at the vehicle
+    # any name that no table of points has: else a table without a time would pass for points at the vehicle
     return head.startswith(b"PAR1") or any(name in names for name in (b"time_s", b"along_m", b"across_m", b"down_m"))
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one file of generic pings in parts of whole pings; a ping's rows may stand anywhere within one part.
+    """Read one file of generic pings in parts of whole pings; a ping's rows may be anywhere within one part.
 
     Raises:
         GenericError: the file is damaged, lacks a column, or a column is not numeric or not in its unit.
@@ -57,10 +57,10 @@ def read(path: Path) -> Iterator[Recording]:
     # by the name as well: a Parquet file with a damaged head is no table of text
     parquet = path.suffix.lower() == ".parquet" or path.open("rb").read(4) == b"PAR1"
     order, crs = _Order(), ""
-    for columns, named, last in _with_last(_read_parquet(path) if parquet else _read_csv(path)):
-        if crs not in ("", named):
-            raise GenericError(f"{path}: column crs must name one coordinate system, it has {[crs, named]}")
-        crs, skipped = named, dict[str, int]()
+    for columns, part_crs, last in _with_last(_read_parquet(path) if parquet else _read_csv(path)):
+        if crs not in ("", part_crs):
+            raise GenericError(f"{path}: column crs must name one coordinate system, it has {[crs, part_crs]}")
+        crs, skipped = part_crs, dict[str, int]()
         _check_units(path, columns := order.whole_pings(_timed(columns, skipped), last))
         begin = np.flatnonzero(np.diff(columns["time_s"], prepend=-np.inf) > 0)
         ping = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(columns["time_s"]))))
@@ -70,14 +70,14 @@ def read(path: Path) -> Iterator[Recording]:
 
 @dataclass
 class _Order:
-    """Brings rows into the order of time, and holds back a block's last ping, which may go on in the next."""
+    """Sorts rows by time, and keeps a block's last ping for the next block, where it may continue."""
 
     rest: Columns = field(default_factory=dict)
     latest: float = -np.inf  # time of the row before
     early: int = 0  # rows that went back in time
 
     def whole_pings(self, columns: Columns, last: bool) -> Columns:
-        """Return the rows that are ready, in order."""
+        """Return the rows of complete pings, in order."""
         time = columns["time_s"]
         if len(time):
             self.early += int(np.sum(np.diff(time, prepend=self.latest) < 0))
@@ -94,7 +94,7 @@ class _Order:
         return {name: column[:count] for name, column in columns.items()}
 
     def problems(self, path: Path) -> list[str]:
-        """Return a sentence if rows were not in order."""
+        """Return a sentence if rows were out of order."""
         return [f"{path.name}: its rows went back in time {self.early} times, and were sorted"] if self.early else []
 
 
@@ -108,18 +108,18 @@ def _with_last(blocks: Iterator[tuple[Columns, str]]) -> Iterator[tuple[Columns,
 
 def _read_parquet(path: Path) -> Iterator[tuple[Columns, str]]:
     try:
-        # read through a buffer, a page of a damaged size is allocated as large as it says; else a row group is at once
+        # with a buffer, a page whose size is damaged is allocated in that size; without, a row group is read at once
         buffer = _BUFFER if path.stat().st_size > _LARGE else 0
         with pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False, buffer_size=buffer) as file:
             schema = file.schema_arrow
             names = _wanted(path, schema.names)
             for name in names:
-                if not (pa.types.is_integer(kind := schema.field(name).type) or pa.types.is_floating(kind)):
-                    raise GenericError(f"{path}: column {name} holds {kind}, must hold numbers")
+                if not (pa.types.is_integer(dtype := schema.field(name).type) or pa.types.is_floating(dtype)):
+                    raise GenericError(f"{path}: column {name} holds {dtype}, must hold numbers")
             crs = (schema.metadata or {}).get(b"crs")
-            chosen = [*names, *(["crs"] if crs is None and "crs" in schema.names else [])]
+            columns = [*names, *(["crs"] if crs is None and "crs" in schema.names else [])]
             empty = True
-            for batch in file.iter_batches(batch_size=PART, columns=chosen):
+            for batch in file.iter_batches(batch_size=PART, columns=columns):
                 yield _numbers(batch, names), _crs(path, batch, crs, names)
                 empty = False
             if empty:
@@ -134,16 +134,15 @@ def _read_csv(path: Path) -> Iterator[tuple[Columns, str]]:
 
     with path.open("rb") as file:
         header = file.read(_HEADER_BYTES).split(b"\n", 1)[0].decode("utf-8-sig", "replace")
-    found = [name.strip().strip('"') for name in header.split(",")]
-    names = _wanted(path, found)
-    marked = ["crs"] if "crs" in found else []
+    header_names = [name.strip().strip('"') for name in header.split(",")]
+    names = _wanted(path, header_names)
+    crs_column = ["crs"] if "crs" in header_names else []
     convert = csv.ConvertOptions(
-        column_types=dict.fromkeys(names, pa.float64()) | dict.fromkeys(marked, pa.string()),
-        include_columns=[*names, *marked],
+        column_types=dict.fromkeys(names, pa.float64()) | dict.fromkeys(crs_column, pa.string()),
+        include_columns=[*names, *crs_column],
     )
-    reading = csv.ReadOptions(
-        column_names=found, skip_rows=1, use_threads=False, block_size=_BLOCK
-    )  # so it counts rows
+    # with names given and threads off, an error has the number of its row
+    reading = csv.ReadOptions(column_names=header_names, skip_rows=1, use_threads=False, block_size=_BLOCK)
     try:
         with csv.open_csv(path, read_options=reading, convert_options=convert) as blocks:
             empty = True
@@ -156,15 +155,15 @@ def _read_csv(path: Path) -> Iterator[tuple[Columns, str]]:
         raise GenericError(f"{path}: is not a table of numbers ({printable(error)})") from error
 
 
-def _wanted(path: Path, found: list[str]) -> list[str]:
-    position = _PROJECTED if set(_PROJECTED) <= set(found) else _GEOGRAPHIC
+def _wanted(path: Path, present: list[str]) -> list[str]:
+    position = _PROJECTED if set(_PROJECTED) <= set(present) else _GEOGRAPHIC
     for name in (*_NEEDED, *position):
-        if found.count(name) != 1:
+        if present.count(name) != 1:
             or_projected = " (or x_m and y_m)" if name in _GEOGRAPHIC else ""
-            trouble = "stands twice" if name in found else "is missing"
-            held = printable(", ".join(found[:30]))
-            raise GenericError(f"{path}: column {name}{or_projected} {trouble}; it has {held}")
-    return [*_NEEDED, *position, *(name for name in _OPTIONAL if name in found)]
+            trouble = "stands twice" if name in present else "is missing"
+            listed = printable(", ".join(present[:30]))
+            raise GenericError(f"{path}: column {name}{or_projected} {trouble}; it has {listed}")
+    return [*_NEEDED, *position, *(name for name in _OPTIONAL if name in present)]
 
 
 def _numbers(table: pa.Table | pa.RecordBatch, names: list[str]) -> Columns:
@@ -178,19 +177,19 @@ def _crs(path: Path, table: pa.Table | pa.RecordBatch, stored: bytes | None, nam
     if stored is not None:
         return stored.decode("utf-8", "replace")
     if "crs" in table.schema.names:
-        marked = table["crs"].unique().to_pylist()
-        if len(marked) != 1 or not marked[0]:
-            raise GenericError(f"{path}: column crs must name one coordinate system, it has {marked[:3]}")
-        return str(marked[0])
+        crs_names = table["crs"].unique().to_pylist()
+        if len(crs_names) != 1 or not crs_names[0]:
+            raise GenericError(f"{path}: column crs must name one coordinate system, it has {crs_names[:3]}")
+        return str(crs_names[0])
     return projection.beside(path)
 
 
 def _timed(columns: Columns, skipped: dict[str, int]) -> Columns:
-    known = np.isfinite(columns["time_s"])
-    if known.all():
+    timed = np.isfinite(columns["time_s"])
+    if timed.all():
         return columns
-    skipped["soundings without a time"] = int(np.sum(~known))
-    return {name: column[known] for name, column in columns.items()}
+    skipped["soundings without a time"] = int(np.sum(~timed))
+    return {name: column[timed] for name, column in columns.items()}
 
 
 def _check_units(path: Path, columns: Columns) -> None:
@@ -198,9 +197,9 @@ def _check_units(path: Path, columns: Columns) -> None:
         return
     if (latest := float(columns["time_s"].max())) > _LATEST_S:
         raise GenericError(f"{path}: time_s reaches {latest:.4g}, must be seconds since 1970, not milliseconds")
-    most = float(np.nanmax(np.abs(columns["heading_rad"]), initial=0.0))
-    if most > 2 * np.pi + _SAME:
-        raise GenericError(f"{path}: heading_rad reaches {most:.4g}, must be radians within one turn")
+    largest = float(np.nanmax(np.abs(columns["heading_rad"]), initial=0.0))
+    if largest > 2 * np.pi + _SAME:
+        raise GenericError(f"{path}: heading_rad reaches {largest:.4g}, must be radians within one turn")
     depth, down = (_middle(columns[name]) for name in ("depth_m", "down_m"))
     if depth < -1.0:
         raise GenericError(f"{path}: depth_m is {depth:.4g} m in the middle, must be positive below the surface")
@@ -211,7 +210,7 @@ def _check_units(path: Path, columns: Columns) -> None:
 
 
 def _check_degrees(path: Path, columns: Columns) -> None:
-    # single positions out of range are counted and skipped; most of them so is a mistake in the columns
+    # single positions out of range are skipped and counted; if most are, the columns are wrong
     for name, limit in (("longitude_deg", 180.0), ("latitude_deg", 90.0)):
         if abs(middle := _middle(columns[name])) > limit:
             raise GenericError(f"{path}: {name} is {middle:.6g} in the middle, must lie within -{limit:g} to {limit:g}")
@@ -233,9 +232,9 @@ def _pings(path: Path, columns: Columns, begin: np.ndarray, ping: np.ndarray) ->
         differs = np.abs(column - first[ping])
         scale = 1e-5 if source in _GEOGRAPHIC else 1.0  # a degree is some 1e5 m
         if (worst := float(np.nanmax(differs, initial=0.0))) > _SAME * scale:
-            at = columns["time_s"][int(np.nanargmax(differs))]
+            worst_time = columns["time_s"][int(np.nanargmax(differs))]
             raise GenericError(
-                f"{path}: {source} differs by {worst:.3g} within the ping at time_s {at:.6f}; give one value"
+                f"{path}: {source} differs by {worst:.3g} within the ping at time_s {worst_time:.6f}; give one value"
             )
         first[ping[~np.isfinite(column)]] = np.nan  # a ping with a gap in its navigation is not used
         table[name] = first

@@ -1,7 +1,7 @@
-"""PCD: a submap that another program has cut, its pose in VIEWPOINT; or, where that says nothing, a surface of points.
+"""PCD: a submap cut by another program, with its pose in VIEWPOINT; without a pose, a surface of points.
 
-A submap's points are in the frame of its pose, of which roll and pitch are taken out: x of the pose is along, y to
-port, z up. The pose is in metres east, north and up, and its time is not known.
+A submap's points are in the frame of its pose, from which roll and pitch are removed: x of the pose is along, y to
+port, z up. The pose is in metres east, north and up; its time is unknown.
 """
 
 from collections.abc import Iterator
@@ -60,15 +60,15 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def _blocks(path: Path, window: Window, layout: Layout, begin: int, points: Points) -> Iterator[Block]:
-    found = 0
+    count = 0
     for xyz in _rows(path, window, layout, begin, points):
-        xyz = xyz[: max(0, layout.rows - found)]
-        found += len(xyz)
+        xyz = xyz[: max(0, layout.rows - count)]
+        count += len(xyz)
         x, y, z = xyz.T
         yield x, y, z, np.zeros(len(z), np.int8)
-    if found != layout.rows:
-        points.problems.tell(f"its header says {layout.rows} points, it has {found}")
-    if not found:
+    if count != layout.rows:
+        points.problems.add(f"its header says {layout.rows} points, it has {count}")
+    if not count:
         raise PcdError(f"{path}: byte {begin}: has none of the {layout.rows} points that its header says")
 
 
@@ -84,10 +84,10 @@ def _rows(path: Path, window: Window, layout: Layout, begin: int, points: Points
         points.skip("lines that are not numbers", lines.bad)
     elif layout.encoding == "binary":
         size = layout.row.itemsize
-        held = min(max(0, layout.rows), (window.size - begin) // size)
-        for first in range(0, held, PART):
-            rows = np.frombuffer(window.read(begin + first * size, min(PART, held - first) * size), layout.row)
-            with np.errstate(all="ignore"):  # damaged numbers may be any
+        available = min(max(0, layout.rows), (window.size - begin) // size)
+        for first in range(0, available, PART):
+            rows = np.frombuffer(window.read(begin + first * size, min(PART, available - first) * size), layout.row)
+            with np.errstate(all="ignore"):  # damaged numbers
                 xyz = np.column_stack([rows[axis].reshape(-1) for axis in axes]).astype(np.float64)
             yield xyz
     elif layout.encoding == "binary_compressed":
@@ -115,8 +115,8 @@ def _submap(points: Points, blocks: Iterator[Block], T: np.ndarray) -> Recording
         pd.DataFrame([ping | {"heading_rad": heading}]),
         pd.DataFrame(soundings).assign(quality=np.zeros(len(up), np.int8)),
         points.skipped,
-        points.problems.told,
+        points.problems.sentences,
         vertical="z of the submap's pose, up; its datum is not stated",
         kind=SUBMAPS,
-        untold=points.problems.untold,
+        problems_omitted=points.problems.omitted,
     )

@@ -1,4 +1,4 @@
-"""Points without pings, block by block, as parts of a recording: which way their z counts."""
+"""Points without pings, as parts of a recording: blocks are gathered, and z is turned into a height."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -11,29 +11,29 @@ from pointnetkl.readers.formats import recording
 from pointnetkl.readers.formats.recording import Problems, Recording
 from pointnetkl.surveys.survey import POINTS
 
-_NO_DATA = (9999.0, 99999.0, 32767.0, 32768.0, 1e6)  # numbers that stand for none, of either sign
+_NO_DATA = (9999.0, 99999.0, 32767.0, 32768.0, 1e6)  # numbers that mean "no data", with either sign
 _BEYOND_TURNS = "soundings without a position on the earth"
 
 
 @dataclass
 class Points:
-    """What a file of points says of them, filled while it is read: skipped and problems are of all its parts."""
+    """What a file of points says of its points, and what was skipped; filled while the file is read."""
 
     file: str
     crs: str = projection.LOCAL
-    down: bool | None = None  # whether z counts down; None: most of the first points decide
+    down: bool | None = None  # whether z counts down; None: the first points decide
     unit_m: float = 1.0  # metres per unit of z
-    datum: str = ""  # what z is measured from
+    datum: str = ""  # the level that z is measured from
     sensor: str = ""
     skipped: dict[str, int] = field(default_factory=dict)
     problems: Problems = field(init=False)
 
     def __post_init__(self) -> None:
-        """Problems are told with the file's name."""
+        """Name the file in every problem."""
         self.problems = Problems(self.file)
 
     def skip(self, reason: str, count: int) -> None:
-        """Count what is left out."""
+        """Count points that are left out."""
         if count:
             self.skipped[reason] = self.skipped.get(reason, 0) + count
 
@@ -42,7 +42,7 @@ Block = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # x, y, z in the 
 
 
 def parts(points: Points, blocks: Iterable[Block]) -> Iterator[Recording]:
-    """Yield recordings of some PART points each, at least one; the last has what was skipped, and the problems."""
+    """Yield recordings of about PART points, at least one; the last one has the skipped counts and the problems."""
     ready: Recording | None = None
     for block in _gathered(blocks):
         table = _table(points, block)
@@ -50,18 +50,19 @@ def parts(points: Points, blocks: Iterable[Block]) -> Iterator[Recording]:
             yield ready
         ready = _recording(points, table)
     last = ready if ready is not None else _recording(points, _table(points, (np.empty(0),) * 4))
-    yield replace(last, skipped=points.skipped, problems=points.problems.told, untold=points.problems.untold)
+    problems = points.problems
+    yield replace(last, skipped=points.skipped, problems=problems.sentences, problems_omitted=problems.omitted)
 
 
 def _gathered(blocks: Iterable[Block]) -> Iterator[Block]:
-    held: list[Block] = []
+    waiting: list[Block] = []
     for block in blocks:
-        held.append(block)
-        if sum(len(b[0]) for b in held) >= recording.PART:
-            yield _joined(held)
-            held = []
-    if held:
-        yield _joined(held)
+        waiting.append(block)
+        if sum(len(x) for x, *_ in waiting) >= recording.PART:
+            yield _joined(waiting)
+            waiting = []
+    if waiting:
+        yield _joined(waiting)
 
 
 def _joined(blocks: list[Block]) -> Block:
@@ -74,20 +75,21 @@ def _table(points: Points, block: Block) -> pd.DataFrame:
     placed = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     points.skip("points that are not finite", int(np.sum(~placed)))
     if points.crs == projection.GEOGRAPHIC:
-        earthly = placed & (np.abs(x) <= 360) & (np.abs(y) <= 90)
-        points.skip(_BEYOND_TURNS, int(np.sum(placed & ~earthly)))
-        x, placed = np.mod(x + 180.0, 360.0) - 180.0 if np.any(np.abs(x[earthly]) > 180) else x, earthly
+        on_earth = placed & (np.abs(x) <= 360) & (np.abs(y) <= 90)
+        points.skip(_BEYOND_TURNS, int(np.sum(placed & ~on_earth)))
+        x, placed = np.mod(x + 180.0, 360.0) - 180.0 if np.any(np.abs(x[on_earth]) > 180) else x, on_earth
     x, y, z, quality = x[placed], y[placed], z[placed], quality[placed].astype(np.int8)
     quality[np.isin(np.abs(z), _NO_DATA) & (quality == 0)] = recording.IMPOSSIBLE
     return pd.DataFrame({"east": x, "north": y, "up_m": _up(points, z, quality), "quality": quality})
 
 
 def _up(points: Points, z: np.ndarray, quality: np.ndarray) -> np.ndarray:
+    """Return z as heights in metres; decide by the first points whether z counts down if the file does not say."""
     if points.down is None and len(z):
         good = z[quality == 0] if np.any(quality == 0) else z
         points.down = bool(np.median(good) > 0)
-        which = "depth, because most are above" if points.down else "height, because most are not above"
-        points.datum = f"z taken as {which} zero; " + (points.datum or "its datum is not stated")
+        reading = "depth, because most are above" if points.down else "height, because most are not above"
+        points.datum = f"z taken as {reading} zero; " + (points.datum or "its datum is not stated")
     up = z * (-points.unit_m if points.down else points.unit_m)
     return up + 0.0  # no minus zero
 

@@ -1,8 +1,8 @@
-"""GSF, the Generic Sensor Format of processed sonar data (versions 1 to 3): pings of many beams, and of single ones.
+"""GSF, the Generic Sensor Format of processed sonar data (versions 1 to 3): swath and single-beam pings.
 
-A record's place, size and checksum, and every size within a ping, are checked before anything is decoded, so a damaged
-file costs the damaged records. Depths have draught (of a submersible: its depth) and tide added already; across track
-is positive to starboard.
+A record's place, size and checksum, and every size within a ping, are checked before anything is decoded, so that
+damage costs only the damaged records. Depths include draught (of a submersible: its depth) and tide; across track is
+positive to starboard.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from pointnetkl.readers import projection
 from pointnetkl.readers.formats.gsf import parameters as gsf_parameters
 from pointnetkl.readers.formats.gsf import pings as gsf_pings
 from pointnetkl.readers.formats.gsf import records as gsf_records
-from pointnetkl.readers.formats.gsf.pings import Decoder, Ping, PingError
+from pointnetkl.readers.formats.gsf.pings import Decoder, PingError, SwathPing
 from pointnetkl.readers.formats.gsf.records import PARAMETERS, PING, SINGLE_BEAM, Record
 from pointnetkl.readers.formats.recording import (
     IMPOSSIBLE,
@@ -31,7 +31,7 @@ from pointnetkl.surveys.survey import SurveyError
 
 SUFFIXES = (".gsf",)
 
-_MOST_PINGS = PART // 16  # in a part: those of a single beam would fill memory with pings
+_MOST_PINGS = PART // 16  # in a part: single-beam pings have few soundings and would fill memory
 _UNREADABLE = "unreadable pings"
 
 
@@ -45,7 +45,7 @@ def begins(head: bytes) -> bool:
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read the pings of a GSF file in parts; damaged records are counted and told with their byte offset.
+    """Read the pings of a GSF file in parts; damaged records are counted, and reported with their byte offset.
 
     Raises:
         GsfError: the file does not begin as GSF does, or cannot be read.
@@ -64,25 +64,25 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 class _File:
-    """A file while it is read, and what its next part holds so far."""
+    """A file while it is read, and its next part so far."""
 
     def __init__(self, name: str, window: Window, major: int) -> None:
         self._name, self._window, self._decoder = name, window, Decoder(major)
         self._parameters: dict[str, str] = {}
         self._sensor = self._vertical = ""
-        self._pings: list[Ping] = []
+        self._pings: list[SwathPing] = []
         self._soundings = self._unreadable = 0
         self._problems = Problems(name)
 
     def parts(self) -> Iterator[Recording]:
         empty = True
-        for record in gsf_records.records(self._window, self._problems.tell):
+        for record in gsf_records.records(self._window, self._problems.add):
             self._take(record)
             if self._soundings >= PART or len(self._pings) >= _MOST_PINGS:
                 yield self._part()
                 empty = False
         if empty and not self._pings and not self._unreadable:
-            self._problems.tell("no ping is among its records")
+            self._problems.add("no ping is among its records")
         if empty or self._pings or self._problems or self._unreadable:
             yield self._part()
 
@@ -99,19 +99,19 @@ class _File:
             self._add(self._ping(record, content))
         except PingError as fault:
             self._unreadable += 1
-            self._problems.tell(f"ping at byte {record.offset}: {fault}")
+            self._problems.add(f"ping at byte {record.offset}: {fault}")
 
-    def _ping(self, record: Record, content: memoryview | None) -> Ping:
+    def _ping(self, record: Record, content: memoryview | None) -> SwathPing:
         if content is None:
             self._decoder.forget()
             raise PingError("its checksum does not match")
         return gsf_pings.single(content) if record.kind == SINGLE_BEAM else self._decoder.swath(content)
 
-    def _add(self, ping: Ping) -> None:
+    def _add(self, ping: SwathPing) -> None:
         if not self._vertical:
             self._vertical = gsf_parameters.vertical(self._parameters, ping.tide)
-            for told in gsf_parameters.unapplied(self._parameters):
-                self._problems.tell_first(told)
+            for sentence in gsf_parameters.unapplied(self._parameters):
+                self._problems.add_first(sentence)
         self._sensor = self._sensor or ping.sensor
         self._pings.append(ping)
         self._soundings += len(ping.depth_m)
@@ -119,23 +119,23 @@ class _File:
     def _part(self) -> Recording:
         skipped = {_UNREADABLE: self._unreadable} if self._unreadable else {}
         pings = np.array([ping.navigation for ping in self._pings]).reshape(-1, len(PING_COLUMNS))
-        problems = self._problems.taken()
+        problems = self._problems.drain()
         recording = Recording(
             self._name,
             projection.GEOGRAPHIC,
             pd.DataFrame(pings, columns=list(PING_COLUMNS)),
             _soundings(self._pings, pings[:, PING_COLUMNS.index("depth_m")]),
             skipped,
-            problems.told,
+            problems.sentences,
             self._sensor,
             self._vertical,
-            untold=problems.untold,
+            problems_omitted=problems.omitted,
         )
         self._pings, self._soundings, self._unreadable = [], 0, 0
         return recording
 
 
-def _soundings(pings: list[Ping], vehicle_m: np.ndarray) -> pd.DataFrame:
+def _soundings(pings: list[SwathPing], vehicle_m: np.ndarray) -> pd.DataFrame:
     counts = np.array([len(ping.depth_m) for ping in pings], np.int64)
     number = np.repeat(np.arange(len(pings)), counts)
     beam = np.arange(len(number)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -144,7 +144,7 @@ def _soundings(pings: list[Ping], vehicle_m: np.ndarray) -> pd.DataFrame:
     )
     rejected = _joined([ping.rejected for ping in pings]).astype(bool)
     placed = np.array([ping.placed for ping in pings], bool)[number]
-    unplaced = (depth == 0.0) | ~placed  # 0 stands for no depth
+    unplaced = (depth == 0.0) | ~placed  # 0 means no depth
     quality = np.where(rejected, REJECTED, np.where(unplaced, IMPOSSIBLE, 0)).astype(np.int8)
     columns = (number, beam, along, across, depth - vehicle_m[number], quality)
     return pd.DataFrame(dict(zip(SOUNDING_COLUMNS, columns, strict=True)))

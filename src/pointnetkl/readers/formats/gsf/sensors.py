@@ -1,9 +1,9 @@
-"""Which echo sounder made a GSF file: known by the kind of part in which a ping holds what is the sonar's own."""
+"""The echo sounder of a GSF file, by the kind of the part in which a ping holds the sonar's own values."""
 
 import struct
 from functools import lru_cache
 
-# Kongsberg's subrecords begin with model, count of pings, serial number; of some models the older ones
+# kinds of Kongsberg's parts that begin with model, count of pings and serial number
 _MODEL_PING_SERIAL = {118, 119, 120, *range(128, 136), *range(139, 150), 157}
 _KMALL, _R2SONIC = 156, (151, 152, 153)
 
@@ -79,19 +79,19 @@ _NAMES = {
 
 
 def name(kind: int, content: bytes) -> str:
-    """Return maker and model of a kind of part, and what its bytes tell of model and serial number; "" for kind 0."""
+    """Return maker and model for a kind of part, with the model and serial number in its bytes; "" for kind 0."""
     return _named(kind, content[:24] if kind in _R2SONIC else content[:2] + content[4:6]) if kind else ""
 
 
 @lru_cache(maxsize=64)
-def _named(kind: int, known: bytes) -> str:
+def _named(kind: int, content: bytes) -> str:
     sensor = _NAMES.get(kind, f"sensor id {kind}")
     if kind in _R2SONIC:
-        serial = known[12:].split(b"\0")[0].decode("ascii", "replace").strip()
+        serial = content[12:].split(b"\0")[0].decode("ascii", "replace").strip()
         return f"{sensor}, serial {serial}" if serial else sensor
-    if len(known) < 4:
+    if len(content) < 4:
         return sensor
-    model, number = struct.unpack(">HH", known)
+    model, number = struct.unpack(">HH", content)
     if kind == _KMALL:
         return f"{sensor} EM{number}"
     if kind not in _MODEL_PING_SERIAL or not model:

@@ -1,4 +1,4 @@
-"""Kongsberg .kmall: soundings relative to the vessel's reference point, whose place and depth stand in each ping."""
+"""Kongsberg .kmall: soundings relative to the vessel's reference point, whose place and depth are in each ping."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import pandas as pd
 from pointnetkl.readers import projection
 from pointnetkl.readers.formats import interpolation
 from pointnetkl.readers.formats.kmall import datagrams as kmall_datagrams
-from pointnetkl.readers.formats.kmall.datagrams import ATTITUDE, INSTALLATION, PING, Datagram, Ping
+from pointnetkl.readers.formats.kmall.datagrams import ATTITUDE, INSTALLATION, PING, Datagram, MrzPing
 from pointnetkl.readers.formats.recording import IMPOSSIBLE, PART, PING_COLUMNS, REJECTED, Problems, Recording
 from pointnetkl.readers.formats.window import Window
 from pointnetkl.surveys.survey import SurveyError
@@ -18,14 +18,14 @@ from pointnetkl.surveys.survey import SurveyError
 SUFFIXES = (".kmall", ".kmwcd")
 
 _VERTICAL = "below the water line; tide not applied"
-_HEADERS = 1 << 12  # bytes that are read to see one
+_HEADERS = 1 << 12  # bytes that are read at once where only headers are needed
 _GAP_S = 1.0  # between samples of attitude
-_ATTITUDES, _ATTITUDES_KEPT = 1 << 14, 64  # datagrams of a second each: within a part, and from it to the next
-_PING_ROWS = 64  # soundings that take as much memory as a ping itself
+_ATTITUDES, _ATTITUDES_KEPT = 1 << 14, 64  # datagrams of about a second: the most in a part, and for the next part
+_PING_ROWS = 64  # soundings that take as much memory as a ping's header
 _DAY_S = 86_400.0
 _NORMAL, _UNDETECTED = 0, 0  # type and method of detection
-_DEGREE_M = 111_195.0  # on a sphere, which the ellipsoid is to within 0.6 %
-_APART_M, _APART = 1.0, 0.02  # metres, and of the distance, that two ways to place a sounding may differ
+_DEGREE_M = 111_195.0  # on a sphere; right to 0.6 % on the ellipsoid
+_APART_M, _APART = 1.0, 0.02  # by how much two places of a sounding may differ: metres, and share of its distance
 
 
 class KmallError(SurveyError):
@@ -38,10 +38,10 @@ def begins(head: bytes) -> bool:
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Yield the soundings of all #MRZ datagrams, each of which is a ping (heads and swaths of one stay apart).
+    """Yield the soundings of all #MRZ datagrams; each datagram is a ping, so that heads and swaths of one stay apart.
 
     Positions and depths are those of the vessel's reference point, on WGS84 and below the water line. Roll and
-    pitch are the used sensor's own. A .kmwcd file has no soundings, which the one part that it gives says.
+    pitch are those of the sensor in use. A .kmwcd file has no soundings and gives one part, whose problems say so.
 
     Raises:
         KmallError: the file cannot be opened, or has no datagram that is whole.
@@ -66,12 +66,12 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 class _Gathered:
-    """What has been read since the last part was handed over."""
+    """What was read since the last part."""
 
     def __init__(self, name: str) -> None:
         self.name, self.sensor = name, ""
         self.kinds: Counter[bytes] = Counter()  # of the whole file
-        self.pings: list[Ping] = []
+        self.pings: list[MrzPing] = []
         self.problems = Problems(name)
         self.skipped: Counter[str] = Counter()
         self._rows = 0
@@ -80,7 +80,7 @@ class _Gathered:
 
     @property
     def full(self) -> bool:
-        """Whether a part is to be handed over: not before the attitude is known at its last ping, if it ever is."""
+        """Whether a part is complete: it has enough soundings, and the attitude at its last ping if that ever comes."""
         if self._rows < PART:
             return False
         latest = next((samples[-1, 0] for samples in reversed(self._attitude)), np.inf)
@@ -100,32 +100,32 @@ class _Gathered:
 
     def damaged(self, begin: int, end: int, pings: int) -> None:
         self._skip("pings in damaged bytes", pings)
-        self.problems.tell(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
+        self.problems.add(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
 
     def close(self) -> None:
         self._parts.close()
         self._skip("pings of which a part is missing", self._parts.lost)
         if not self.kinds[PING]:
             held = ", ".join(f"{count} {kind.decode()}" for kind, count in self.kinds.most_common(5))
-            self.problems.tell_first(
+            self.problems.add_first(
                 f"has no #MRZ datagram, hence no soundings, but {held}; give the .kmall file of the same line"
             )
 
     def part(self) -> Recording:
         pings, soundings = _ping_table(self.pings, self._attitude), _sounding_table(self.pings)
-        skipped, problems = dict(self.skipped), self.problems.taken()
+        skipped, problems = dict(self.skipped), self.problems.drain()
         self.pings, self._rows, self.skipped = [], 0, Counter()
         while len(self._attitude) > _ATTITUDES_KEPT:
             self._attitude.popleft()
-        told, untold = problems.told, problems.untold
-        tables = (pings, soundings, skipped, told)
-        return Recording(self.name, projection.GEOGRAPHIC, *tables, self.sensor, _VERTICAL, untold=untold)
+        sentences, omitted = problems.sentences, problems.omitted
+        tables = (pings, soundings, skipped, sentences)
+        return Recording(self.name, projection.GEOGRAPHIC, *tables, self.sensor, _VERTICAL, problems_omitted=omitted)
 
     def _ping(self, datagram: Datagram, content: bytes | memoryview) -> None:
         ping = kmall_datagrams.ping(datagram, content)
         if isinstance(ping, str):
             self._skip("pings with impossible lengths", 1)
-            self.problems.tell(f"the ping at byte {datagram.offset} cannot be used: {ping}")
+            self.problems.add(f"the ping at byte {datagram.offset} cannot be used: {ping}")
             return
         self.pings.append(ping)
         self._rows += _PING_ROWS + len(ping.flags)
@@ -135,49 +135,51 @@ class _Gathered:
             self.skipped[reason] += count
 
 
-def _ping_table(pings: list[Ping], attitude: deque[np.ndarray]) -> pd.DataFrame:
-    table = np.array([(p.time_s, p.longitude, p.latitude, p.water_m, p.heading_deg) for p in pings]).reshape(-1, 5)
+def _ping_table(pings: list[MrzPing], attitude: deque[np.ndarray]) -> pd.DataFrame:
+    table = np.array(
+        [(ping.time_s, ping.longitude, ping.latitude, ping.water_m, ping.heading_deg) for ping in pings]
+    ).reshape(-1, 5)
     time, east, north, water, heading = table.T
-    time = np.where(_astray(time), np.nan, time)
+    time = np.where(_far_off(time), np.nan, time)
     heading = np.where((heading >= 0.0) & (heading <= 360.0), heading, np.nan)
-    known, roll, pitch = np.concatenate([*attitude, np.empty((0, 3))]).T
-    angles = (interpolation.linear(time, known, values, _GAP_S) for values in (roll, pitch))
+    sampled, roll, pitch = np.concatenate([*attitude, np.empty((0, 3))]).T
+    angles = (interpolation.linear(time, sampled, values, _GAP_S) for values in (roll, pitch))
     return pd.DataFrame(dict(zip(PING_COLUMNS, (time, east, north, -water, *angles, np.deg2rad(heading)), strict=True)))
 
 
-def _astray(time: np.ndarray) -> np.ndarray:
-    """Return which times are more than a day off from the pings around: a flipped bit makes decades."""
+def _far_off(time: np.ndarray) -> np.ndarray:
+    """Return which times are more than a day off those of the neighbouring pings: a flipped bit makes decades."""
     off = np.zeros(len(time), bool)
-    known = np.isfinite(time)
-    if known.sum() > 2:
-        around = np.lib.stride_tricks.sliding_window_view(np.pad(time[known], 2, "reflect"), 5)
-        off[known] = np.abs(time[known] - np.median(around, 1)) > _DAY_S
+    finite = np.isfinite(time)
+    if finite.sum() > 2:
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(time[finite], 2, "reflect"), 5)
+        off[finite] = np.abs(time[finite] - np.median(around, 1)) > _DAY_S
     return off
 
 
-def _sounding_table(pings: list[Ping]) -> pd.DataFrame:
-    counts = np.array([len(p.flags) for p in pings], int)
+def _sounding_table(pings: list[MrzPing]) -> pd.DataFrame:
+    counts = np.array([len(ping.flags) for ping in pings], int)
     number = np.repeat(np.arange(len(pings)), counts)
     beam = np.arange(len(number)) - np.repeat(np.cumsum(counts) - counts, counts)
-    kind, method = np.concatenate([np.empty((0, 2), np.uint8), *(p.flags for p in pings)]).T
+    kind, method = np.concatenate([np.empty((0, 2), np.uint8), *(ping.flags for ping in pings)]).T
     with np.errstate(invalid="ignore"):
-        places = np.concatenate([np.empty((0, 5), np.float32), *(p.places for p in pings)]).astype(float)
+        places = np.concatenate([np.empty((0, 5), np.float32), *(ping.places for ping in pings)]).astype(float)
     _, _, down, starboard, forward = places.T
-    extra = beam >= np.repeat(np.array([p.main for p in pings], int), counts)
-    rejected = extra | (kind != _NORMAL)  # an extra detection is an echo that the sonar does not take for the seabed
-    impossible = (method == _UNDETECTED) | _elsewhere(pings, number, places) | ~np.isfinite(places[:, 2:]).all(1)
+    extra = beam >= np.repeat(np.array([ping.main for ping in pings], int), counts)
+    rejected = extra | (kind != _NORMAL)  # the sonar does not take the echo of an extra detection for the seabed
+    impossible = (method == _UNDETECTED) | _misplaced(pings, number, places) | ~np.isfinite(places[:, 2:]).all(1)
     quality = np.where(rejected, REJECTED, np.where(impossible, IMPOSSIBLE, 0)).astype(np.int8)
     columns = {"ping": number, "beam": beam, "along_m": forward, "across_m": starboard, "down_m": down}
     return pd.DataFrame(columns | {"quality": quality})
 
 
-def _elsewhere(pings: list[Ping], number: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which soundings the file's own latitudes and longitudes place elsewhere than its metres and heading do.
+def _misplaced(pings: list[MrzPing], number: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return which soundings (n,) have latitudes and longitudes that contradict their metres and heading.
 
-    The format has no checksum, and this is as good as one: of a ping that is mostly elsewhere the heading or the
-    position is damaged. Where that is so of most pings, the sonar does not fill in one of the two.
+    The format has no checksum, and this comparison replaces it: in a ping most of whose soundings are misplaced the
+    heading or the position is damaged. If most pings are so, the sonar does not write one of the two: none counts.
     """
-    heading, latitude = np.deg2rad([(p.heading_deg, p.latitude) for p in pings]).reshape(-1, 2)[number].T
+    heading, latitude = np.deg2rad([(ping.heading_deg, ping.latitude) for ping in pings]).reshape(-1, 2)[number].T
     to_north, to_east, _, starboard, forward = places.T
     with np.errstate(invalid="ignore", over="ignore"):
         own_east = to_east * np.cos(latitude + np.deg2rad(to_north) / 2) * _DEGREE_M

@@ -1,4 +1,4 @@
-"""The datagrams of a .kmall file (Kongsberg document 410224, revisions F to J): where they are and what they hold."""
+"""The datagrams of a .kmall file (Kongsberg document 410224, revisions F to J): their places and contents."""
 
 import re
 import struct
@@ -7,24 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pointnetkl.readers.formats.window import Window
+from pointnetkl.readers.formats.window import Mark, Window, candidates
 
 PING, ATTITUDE, INSTALLATION = b"#MRZ", b"#SKM", b"#IIP"
 
 _HEADER = struct.Struct("<I4sBBHII")  # size, type, version, system, echo sounder, seconds, nanoseconds
-_SIZE = struct.Struct("<I")  # again at the end: the one check that the format has
+_SIZE = struct.Struct("<I")  # repeated at the end of a datagram: the format's only check
 _KIND = re.compile(rb"#[A-Z][A-Z0-9]{2}")
+_MARK = Mark(_KIND, lead=4, length=4, header=20)
 _LARGEST = 1 << 26  # bytes; 256 packets of 64 kB by the format
-_STRETCH = 1 << 20
+
 _SECOND = 1_000_000_000
 
 _PARTITION, _PAIR = struct.Struct("<HH"), struct.Struct("<HH")
 _MOST_PARTS, _PACKET = 256, 1 << 16
-_WHOLE_COMMON = 3  # version of #MRZ from which each part repeats what its ping's datagrams have in common
+_WHOLE_COMMON = 3  # version of #MRZ from which every part repeats the block common to the parts of a ping
 
 _NAVIGATION = struct.Struct("<f8xf12x2d")  # heading, water line below the reference point, latitude, longitude
 _RECEIVER = struct.Struct("<HHxxH18xHHH")  # size; soundings of the seabed; bytes of each; extra ones, classes, bytes
-_COMMON, _INFO, _SECTORS, _MOTION = 12, 140, 92, 96  # sizes and places that every version of #MRZ has
+_COMMON, _INFO, _SECTORS, _MOTION = 12, 140, 92, 96  # sizes and places common to all versions of #MRZ
 _FLAGS, _PLACES, _SOUNDING = slice(3, 5), slice(88, 108), 108
 
 _SENSOR = struct.Struct("<HBBHHHH")  # size, system, status, format, samples, bytes of each, contents
@@ -35,30 +36,30 @@ _TRANSDUCER = re.compile(r"\bTRAI_\w{1,4}:(?:[^,;]{0,60};){0,30}N=([1-9]\w{0,19}
 
 @dataclass(frozen=True)
 class Datagram:
-    """A datagram's place in the file, and its header; two copies of its size agree."""
+    """A datagram's place in the file, and its header; the two copies of its size agree."""
 
     offset: int
     size: int
     kind: bytes
     version: int
     sounder: int  # model, such as 2040
-    time_s: float  # UTC since 1970; NaN where the nanoseconds are none
+    time_s: float  # UTC since 1970; NaN where the nanoseconds are impossible
 
     def content(self, window: Window) -> memoryview:
-        """Return what stands between the header and the last four bytes."""
+        """Return the bytes between the header and the last four."""
         return window.read(self.offset + _HEADER.size, self.size - _HEADER.size - _SIZE.size)
 
 
 @dataclass(frozen=True)
-class Ping:
-    """What a #MRZ datagram tells of a swath, or of the part of it that one head or one of two swaths has."""
+class MrzPing:
+    """A #MRZ datagram: a swath, or the part of it of one head or of one of two swaths."""
 
     time_s: float
-    longitude: float  # degrees, of the vessel's reference point; beyond 180 where there is none
-    latitude: float  # degrees; beyond 90 where there is none
+    longitude: float  # degrees, of the vessel's reference point; beyond 180 where it is unknown
+    latitude: float  # degrees; beyond 90 where it is unknown
     heading_deg: float
     water_m: float  # the water line below the reference point; negative where the vehicle is below the water
-    main: int  # soundings of the seabed; what comes after them are extra detections
+    main: int  # number of soundings of the seabed; those after them are extra detections
     flags: np.ndarray  # (n, 2) type and method of detection
     places: np.ndarray  # (n, 5) from that point: degrees of latitude and longitude; metres down, starboard, forward
 
@@ -73,49 +74,45 @@ def begins(head: bytes) -> bool:
 
 
 def walk(window: Window, damaged: Callable[[int, int, int], None]) -> Iterator[Datagram]:
-    """Yield the datagrams in order; `damaged` is told of bytes that are none: first, one after the last, pings lost.
+    """Yield the datagrams in order; call `damaged` for bytes of none: first byte, byte after the last, pings lost.
 
-    Only headers are looked at, so a window with a small stretch passes over what is not to be read.
+    Only headers are read, so that a window with a small stretch skips the contents.
     """
-    at = 0
-    while at < window.size:
-        if datagram := _datagram(window, at):
+    offset = 0
+    while offset < window.size:
+        if datagram := _datagram(window, offset):
             yield datagram
-            at += datagram.size
+            offset += datagram.size
         else:
-            begin = at
-            at, pings = _resumed(window, at)
-            damaged(begin, at, pings)
+            begin = offset
+            offset, pings = _resumed(window, offset)
+            damaged(begin, offset, pings)
 
 
-def _datagram(window: Window, at: int) -> Datagram | None:
-    header = window.read(at, _HEADER.size)
+def _datagram(window: Window, offset: int) -> Datagram | None:
+    header = window.read(offset, _HEADER.size)
     if len(header) < _HEADER.size:
         return None
     size, kind, version, _, sounder, seconds, nanoseconds = _HEADER.unpack(header)
-    credible = _HEADER.size + _SIZE.size <= size <= min(_LARGEST, window.size - at) and _KIND.match(kind)
-    if not credible or _SIZE.unpack(window.read(at + size - _SIZE.size, _SIZE.size)) != (size,):
+    credible = _HEADER.size + _SIZE.size <= size <= min(_LARGEST, window.size - offset) and _KIND.match(kind)
+    if not credible or _SIZE.unpack(window.read(offset + size - _SIZE.size, _SIZE.size)) != (size,):
         return None
     time_s = seconds + nanoseconds * 1e-9 if nanoseconds < _SECOND else np.nan
-    return Datagram(at, size, kind, version, sounder, time_s)
+    return Datagram(offset, size, kind, version, sounder, time_s)
 
 
-def _resumed(window: Window, at: int) -> tuple[int, int]:
-    """Return where the next datagram begins, and how many headers of pings were passed on the way."""
+def _resumed(window: Window, begin: int) -> tuple[int, int]:
+    """Return where the next datagram begins, and how many headers of pings are before it."""
     pings = 0
-    while at + _HEADER.size < window.size:
-        stretch = bytes(window.read(at, _STRETCH))
-        for found in _KIND.finditer(stretch, 4):
-            begin = at + found.start() - 4
-            if _datagram(window, begin):
-                return begin, pings
-            pings += found[0] == PING
-        at += max(1, len(stretch) - 7)  # a mark may be cut in two, and has four bytes before it
+    for candidate, kind in candidates(window, _MARK, begin, window.size):
+        if _datagram(window, candidate):
+            return candidate, pings
+        pings += kind == PING
     return window.size, pings
 
 
 class Parts:
-    """Puts a ping together that was logged in the packets in which the sonar sent it."""
+    """Joins the parts of a ping that was logged in the packets in which the sonar sent it."""
 
     def __init__(self) -> None:
         """Begin with nothing held."""
@@ -125,7 +122,7 @@ class Parts:
         self._lost_s = np.nan
 
     def whole(self, datagram: Datagram, content: memoryview) -> tuple[Datagram, bytes | memoryview] | None:
-        """Return a ping's first datagram and its content behind the partition; None until all parts are there."""
+        """Return a ping's first datagram, and its content after the partition; None until all parts are read."""
         if len(content) < _PARTITION.size:
             return datagram, b""
         parts, number = _PARTITION.unpack_from(content)
@@ -164,10 +161,10 @@ class Parts:
         self._first, self._held, self._lost_s = None, [], time_s
 
 
-def ping(datagram: Datagram, content: bytes | memoryview) -> Ping | str:
-    """Return what a #MRZ datagram holds behind its partition, or why that cannot be used.
+def ping(datagram: Datagram, content: bytes | memoryview) -> MrzPing | str:
+    """Return the ping in a #MRZ datagram's content after the partition, or the reason why it cannot be used.
 
-    Every block is as long as it says itself, so that what newer revisions add is passed over.
+    Every block has the length that it states, so that additions of newer revisions are skipped.
     """
     info = int.from_bytes(content[:2], "little")
     if info < _COMMON or info + _INFO > len(content):
@@ -177,26 +174,33 @@ def ping(datagram: Datagram, content: bytes | memoryview) -> Ping | str:
     receiver = info + info_bytes + sectors * sector_bytes
     if info_bytes < _INFO or receiver + _RECEIVER.size > len(content):
         return f"its {sectors} sectors go beyond it"
-    size, main, each, extra, classes, class_bytes = _RECEIVER.unpack_from(content, receiver)
+    size, main, sounding_bytes, extra, classes, class_bytes = _RECEIVER.unpack_from(content, receiver)
     begin, count = receiver + size + classes * class_bytes, main + extra
-    if size < _RECEIVER.size or begin + count * each > len(content) or (count and each < _SOUNDING):
-        return f"its {count} soundings of {each} bytes do not fit"
-    rows = np.frombuffer(memoryview(content)[begin : begin + count * each], np.uint8).reshape(count, each or _SOUNDING)
+    if size < _RECEIVER.size or begin + count * sounding_bytes > len(content) or (count and sounding_bytes < _SOUNDING):
+        return f"its {count} soundings of {sounding_bytes} bytes do not fit"
+    rows = np.frombuffer(memoryview(content)[begin : begin + count * sounding_bytes], np.uint8).reshape(
+        count, sounding_bytes or _SOUNDING
+    )
     heading, water, latitude, longitude = _NAVIGATION.unpack_from(content, info + _MOTION)
     places = rows[:, _PLACES].copy().view("<f4")
-    return Ping(datagram.time_s, longitude, latitude, heading, water, main, rows[:, _FLAGS].copy(), places)
+    return MrzPing(datagram.time_s, longitude, latitude, heading, water, main, rows[:, _FLAGS].copy(), places)
 
 
 def attitude(content: memoryview) -> np.ndarray:
-    """Return what a #SKM datagram holds, (n, 3): time_s, roll and pitch in radians; none unless its sensor is used."""
+    """Return the samples (n, 3) of a #SKM datagram: time_s, roll and pitch in radians; none if its sensor is unused."""
     nothing = np.empty((0, 3))
     if len(content) < _SENSOR.size:
         return nothing
-    begin, _, status, _, count, each, _ = _SENSOR.unpack_from(content)
-    fits = count <= _SAMPLES and each >= _SAMPLE and begin >= _SENSOR.size and begin + count * each <= len(content)
+    begin, _, status, _, count, sample_bytes, _ = _SENSOR.unpack_from(content)
+    fits = (
+        count <= _SAMPLES
+        and sample_bytes >= _SAMPLE
+        and begin >= _SENSOR.size
+        and begin + count * sample_bytes <= len(content)
+    )
     if not fits or not status & _ACTIVE:
         return nothing
-    rows = np.frombuffer(content[begin : begin + count * each], np.uint8).reshape(count, each)
+    rows = np.frombuffer(content[begin : begin + count * sample_bytes], np.uint8).reshape(count, sample_bytes)
     seconds, nanoseconds, doubts = rows[:, 8:20].copy().view("<u4").T
     with np.errstate(invalid="ignore"):
         angles = np.deg2rad(rows[:, 40:48].copy().view("<f4").astype(float))
@@ -205,7 +209,7 @@ def attitude(content: memoryview) -> np.ndarray:
 
 
 def sensor(content: memoryview) -> str:
-    """Return the model that a #IIP datagram's text names, with the serial numbers of its transducers or of its unit."""
+    """Return the model in the text of a #IIP datagram, with the serial numbers of its transducers or of its unit."""
     text = bytes(content).decode("ascii", "replace")
     model, serials = _MODEL.search(text), _TRANSDUCER.findall(text) or _UNIT.findall(text)
     if not model:

@@ -16,7 +16,7 @@ from pointnetkl.readers.formats.kongsberg_all import datagrams as kongsberg_data
 from pointnetkl.readers.formats.kongsberg_all import pings as kongsberg_pings
 from pointnetkl.readers.formats.kongsberg_all.datagrams import Datagram
 from pointnetkl.readers.formats.kongsberg_all.navigation import Attitudes, Positions
-from pointnetkl.readers.formats.kongsberg_all.pings import DEPTH, XYZ88, Ping
+from pointnetkl.readers.formats.kongsberg_all.pings import DEPTH, XYZ88, AllPing
 from pointnetkl.readers.formats.recording import PART, PING_COLUMNS, SOUNDING_COLUMNS, Problems, Recording
 from pointnetkl.readers.formats.window import Window
 from pointnetkl.surveys.survey import SurveyError
@@ -41,8 +41,8 @@ def begins(head: bytes) -> bool:
 def read(path: Path) -> Iterator[Recording]:
     """Yield the soundings of all XYZ 88 datagrams, or of the older depth datagrams of a file that has none.
 
-    Each datagram is a ping, so the heads of a dual system stay apart. Positions are on WGS84. A .wcd file has no
-    soundings, which the one part that it gives says.
+    Each datagram is a ping, so that the heads of a dual system stay apart. Positions are on WGS84. A .wcd file has no
+    soundings and gives one part, whose problems say so.
 
     Raises:
         KongsbergError: the file cannot be opened, has no datagram that is whole, or changes while it is read.
@@ -65,7 +65,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 class _Index:
-    """Where the pings of a file are, with its navigation: all that has to be known before the first is placed."""
+    """The places of a file's pings, and its navigation, which must be complete before the first ping is placed."""
 
     def __init__(self, name: str, order: str) -> None:
         self._name, self._order = name, order
@@ -78,14 +78,14 @@ class _Index:
         self._problems = Problems(name)
 
     def damaged(self, begin: int, end: int, kind: bytes) -> None:
-        """Take note of bytes that cannot be used; of a kind where they are one datagram."""
+        """Take note of damaged bytes; `kind` is the type if they are one datagram, else empty."""
         if kind in self._pings:
             self._kinds[kind] += 1
             self._skipped["pings with a wrong checksum"] += 1
-        self._problems.tell(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
+        self._problems.add(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
 
     def take(self, datagram: Datagram) -> None:
-        """Take what a datagram tells; those of other types are passed over."""
+        """Take note of a datagram; those of other types are skipped."""
         self._kinds[datagram.kind] += 1
         self._system = self._system or {(datagram.model, datagram.serial)}
         if datagram.kind in self._pings:
@@ -96,11 +96,11 @@ class _Index:
             self._attitudes.take(datagram)
 
     def parts(self, window: Window) -> Iterator[Recording]:
-        """Yield the recordings; the first has all that is to be told."""
+        """Yield the recordings; the first one has all problems."""
         kind = XYZ88 if self._pings[XYZ88] else DEPTH  # some sonars log every ping as both
-        rows = np.frombuffer(self._pings[kind]).reshape(-1, len(Ping._fields))
+        rows = np.frombuffer(self._pings[kind]).reshape(-1, len(AllPing._fields))
         pings = self._placed(rows)
-        self._in_all()
+        self._add_problems_of_file()
         last = np.cumsum(np.maximum(kongsberg_pings.column(rows, "beams"), 1))
         cuts = np.searchsorted(last, np.arange(PART, last[-1] if len(last) else 0, PART)) + 1
         cuts = cuts[cuts < len(rows)]
@@ -111,28 +111,29 @@ class _Index:
         ping = kongsberg_pings.ping(datagram, self._order)
         if isinstance(ping, str):
             self._skipped[ping] += 1
-            self._problems.tell(f"the ping at byte {datagram.offset} is one of the {ping}")
+            self._problems.add(f"the ping at byte {datagram.offset} is one of the {ping}")
             return
         self._heads.add((datagram.model, datagram.serial))
         self._pings[datagram.kind].extend(ping)
 
     def _placed(self, rows: np.ndarray) -> pd.DataFrame:
         time, heading, depth, *_ = rows.T
-        east, north, far = self._positions.at(time)
-        if held := int(np.sum(far > 0)):
-            self._problems.tell(
-                f"{held} pings before the first position or after the last, by up to {far.max():.1f} s, have its place"
+        east, north, far = self._positions.interpolate(time)
+        if extrapolated := int(np.sum(far > 0)):
+            self._problems.add(
+                f"{extrapolated} pings before the first position or after the last, by up to {far.max():.1f} s,"
+                " have its place"
             )
-        columns = (time, east, north, depth, *self._attitudes.at(time), heading)
+        columns = (time, east, north, depth, *self._attitudes.interpolate(time), heading)
         return pd.DataFrame(dict(zip(PING_COLUMNS, columns, strict=True)))
 
-    def _in_all(self) -> None:
+    def _add_problems_of_file(self) -> None:
         positions, water = self._kinds[_POSITION], self._kinds[_WATER_COLUMN]
         if not self._kinds[XYZ88] + self._kinds[DEPTH]:
             beside = f", but {water} datagrams of water column; the soundings are in the .all file beside it"
-            self._problems.tell_first(f"holds {positions} positions and no ping{beside * bool(water)}")
+            self._problems.add_first(f"holds {positions} positions and no ping{beside * bool(water)}")
         elif not positions:
-            self._problems.tell_first("holds pings and no position")
+            self._problems.add_first("holds pings and no position")
 
     def _part(self, window: Window, kind: bytes, rows: np.ndarray, pings: pd.DataFrame) -> Recording:
         raw = bytearray()
@@ -143,12 +144,15 @@ class _Index:
             raise KongsbergError(f"{self._name}: was cut off near byte {starts[-1]} while it was read; read it again")
         columns = kongsberg_pings.soundings(kind, self._order, raw, rows)
         soundings = pd.DataFrame({name: columns[name] for name in SOUNDING_COLUMNS})
-        skipped, problems, self._skipped = dict(self._skipped), self._problems.taken(), Counter()
-        tables = (pings, soundings, skipped, problems.told)
-        return Recording(self._name, projection.GEOGRAPHIC, *tables, self._sensor(), _VERTICAL, untold=problems.untold)
+        skipped, problems, self._skipped = dict(self._skipped), self._problems.drain(), Counter()
+        tables = (pings, soundings, skipped, problems.sentences)
+        return Recording(
+            self._name, projection.GEOGRAPHIC, *tables, self._sensor(), _VERTICAL, problems_omitted=problems.omitted
+        )
 
     def _sensor(self) -> str:
         sonars = self._heads or self._system
         models = sorted({_NAMES.get(model, f"EM{model}") for model, _ in sonars})
         serials = [str(serial) for serial in sorted({serial for _, serial in sonars})]
-        return f"Kongsberg {' and '.join(models)}, serial{'s' * (len(serials) > 1)} {' and '.join(serials)}"
+        noun = "serials" if len(serials) > 1 else "serial"
+        return f"Kongsberg {' and '.join(models)}, {noun} {' and '.join(serials)}"

@@ -1,7 +1,7 @@
 """Soundings of Kongsberg's XYZ 88 datagrams and of the older depth datagrams (160692, "Multibeam data").
 
-Both give soundings from the transmit transducer down and from the active positioning system's reference point
-forward and to starboard, without roll, pitch and heave, and the transducer's own depth below the water line.
+Depths are from the transmit transducer down, whose own depth is below the water line; distances forward and to
+starboard are from the active positioning system's reference point. Roll, pitch and heave are corrected.
 """
 
 import struct
@@ -15,11 +15,11 @@ from pointnetkl.readers.formats.recording import IMPOSSIBLE, REJECTED
 XYZ88, DEPTH = b"X", b"D"
 
 _ORDERS = (LITTLE, BIG)
-_UNSIGNED = (120, 300)  # models whose older depths are without a sign: they reach deeper than their resolution allows
+_UNSIGNED = (120, 300)  # models whose older depths have no sign, to reach deeper
 _DEEPEST_M = 12_000.0
-_NO_DETECTION = 4  # what is left of a beam that was not detected: nothing; with the bit that says so
-_UNDETECTED, _WHY = 0x80, 0x0F
-_FULL_TURN = 36_000  # hundredths of a degree; beyond it the heading is not known
+_UNDETECTED, _REASON = 0x80, 0x0F  # bits of a beam's detection
+_NO_DETECTION = 4  # reason: nothing was detected
+_FULL_TURN = 36_000  # hundredths of a degree; beyond it the heading is unknown
 
 _XYZ88_HEADS = {order: struct.Struct(order + "HHfHHfB3x") for order in _ORDERS}
 _DEPTH_HEADS = {order: struct.Struct(order + "HHHBBBBH") for order in _ORDERS}
@@ -48,55 +48,55 @@ _DEPTH_BEAMS = {
 BEAM_BYTES = {XYZ88: 20, DEPTH: 16}
 
 
-class Ping(NamedTuple):
-    """A ping's header, in numbers all, which many pings are kept as."""
+class AllPing(NamedTuple):
+    """A ping's header, all in numbers, so that many pings are an array."""
 
     time_s: float
     heading_rad: float  # NaN: not known
     depth_m: float  # of the transmit transducer at the ping, below the water line
     start: int  # byte of the file at which its beams begin
     beams: int
-    down_step_m: float  # metres that one unit is
+    down_step_m: float  # metres per unit
     level_step_m: float
     unsigned: bool
 
 
 def column(pings: np.ndarray, name: str) -> np.ndarray:
     """Return one of the numbers of pings (n, len(Ping))."""
-    return pings[:, Ping._fields.index(name)]
+    return pings[:, AllPing._fields.index(name)]
 
 
-def ping(datagram: Datagram, order: str) -> Ping | str:
-    """Return the ping of an XYZ 88 or depth datagram, or as what it is to be counted if it cannot be used."""
+def ping(datagram: Datagram, order: str) -> AllPing | str:
+    """Return the ping of an XYZ 88 or depth datagram, or the reason under which an unusable one is counted."""
     if len(datagram.content) < _XYZ88_HEADS[order].size:
         return "pings too short for what they hold"
-    found = (_xyz88 if datagram.kind == XYZ88 else _depth)(datagram, order)
-    if found is None:
+    decoded = (_xyz88 if datagram.kind == XYZ88 else _depth)(datagram, order)
+    if decoded is None:
         return "pings too short for what they hold"
-    if not abs(found.depth_m) < _DEEPEST_M or not found.down_step_m or not found.level_step_m:
+    if not abs(decoded.depth_m) < _DEEPEST_M or not decoded.down_step_m or not decoded.level_step_m:
         return "pings with an impossible transducer depth or resolution"
-    return found if np.isfinite(found.time_s) else "pings without a time"
+    return decoded if np.isfinite(decoded.time_s) else "pings without a time"
 
 
-def _xyz88(datagram: Datagram, order: str) -> Ping | None:
+def _xyz88(datagram: Datagram, order: str) -> AllPing | None:
     head = _XYZ88_HEADS[order]
     heading, _, depth, beams, *_ = head.unpack_from(datagram.content)
     if head.size + beams * BEAM_BYTES[XYZ88] > len(datagram.content):
         return None
-    return Ping(datagram.time_s, _heading(heading), depth, datagram.start + head.size, beams, 1.0, 1.0, False)
+    return AllPing(datagram.time_s, _heading(heading), depth, datagram.start + head.size, beams, 1.0, 1.0, False)
 
 
-def _depth(datagram: Datagram, order: str) -> Ping | None:
+def _depth(datagram: Datagram, order: str) -> AllPing | None:
     head = _DEPTH_HEADS[order]
     heading, _, depth, _, beams, down_cm, level_cm, _ = head.unpack_from(datagram.content)
     end = head.size + beams * BEAM_BYTES[DEPTH]
     if end >= len(datagram.content):
         return None
-    (turns,) = struct.unpack_from("b", datagram.content, end)  # of the transducer's depth, which goes round at 655.36 m
+    (turns,) = struct.unpack_from("b", datagram.content, end)  # of the transducer's depth, which overflows at 655.36 m
     depth_m = depth / 100.0 + 655.36 * turns
     steps = (down_cm / 100.0, level_cm / 100.0)
     unsigned = datagram.model in _UNSIGNED
-    return Ping(datagram.time_s, _heading(heading), depth_m, datagram.start + head.size, beams, *steps, unsigned)
+    return AllPing(datagram.time_s, _heading(heading), depth_m, datagram.start + head.size, beams, *steps, unsigned)
 
 
 def _heading(hundredths: int) -> float:
@@ -127,7 +127,7 @@ def _xyz88_quality(table: np.ndarray) -> np.ndarray:
     detection = table["detection"]
     quality = np.zeros(len(table), np.int8)
     quality[(detection >= _UNDETECTED) | (table["cleaning"] < 0)] = REJECTED
-    quality[(detection >= _UNDETECTED) & (detection & _WHY == _NO_DETECTION)] = IMPOSSIBLE
+    quality[(detection >= _UNDETECTED) & (detection & _REASON == _NO_DETECTION)] = IMPOSSIBLE
     quality[(table["down"] == 0) & (table["across"] == 0) & (table["along"] == 0)] = IMPOSSIBLE
     return quality
 

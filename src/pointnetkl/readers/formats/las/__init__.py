@@ -1,8 +1,8 @@
-"""LAS and LAZ (ASPRS LAS 1.0 to 1.4, LASzip 2 and 3): a surface of points, without the pings that saw it.
+"""LAS and LAZ (ASPRS LAS 1.0 to 1.4, LASzip 2 and 3): a surface of points, without pings.
 
-Rejected are points withheld, noise (classes 7 and 18) and the water's surface (41, 42); impossible those without a
-bottom (45), and those beyond the bounds that the header states, where most lie within. Heights are up in LAS; where no
-vertical CRS says so and most are above zero, they are depths.
+Rejected are withheld points, noise (classes 7 and 18) and the water's surface (41, 42). Impossible are points without a
+bottom (45), and points beyond the header's bounds if most are within. Heights are up in LAS; but without a vertical CRS
+they are taken as depths if most are above zero.
 """
 
 from collections.abc import Iterator
@@ -51,27 +51,27 @@ def _blocks(path: Path, window: Window, header: Header, points: Points) -> Itera
     chunks = Chunks(path, window, header, points.problems) if header.compressed else None
     row = _row(header)
     bounds = _Bounds(header)
-    found = 0
+    count = 0
     for content in chunks or _batches(window, header):
         rows = np.frombuffer(content, row)
-        found += len(rows)
+        count += len(rows)
         yield _block(rows, header, bounds)
-    lost = chunks.lost if chunks else max(0, header.declared - found)
+    lost = chunks.lost if chunks else max(0, header.declared - count)
     points.skip("points cut off" if chunks is None else "points of damaged chunks", lost)
-    bounds.tell(points, found)
-    room = (header.end - header.first) // header.record_bytes
-    if not lost and header.declared != (found if chunks else room):
-        held = found if chunks else f"room for {room}"
-        points.problems.tell(f"its header says {header.declared} points, and it has {held}; {found} are read")
-    if not found:
-        told = "; ".join(points.problems.told[:2]) or f"{header.declared} are declared"
-        raise LasError(f"{path}: byte {header.first}: has no points that can be read ({told}); copy it again")
+    bounds.report(points, count)
+    capacity = (header.end - header.first) // header.record_bytes
+    if not lost and header.declared != (count if chunks else capacity):
+        available = count if chunks else f"room for {capacity}"
+        points.problems.add(f"its header says {header.declared} points, and it has {available}; {count} are read")
+    if not count:
+        reasons = "; ".join(points.problems.sentences[:2]) or f"{header.declared} are declared"
+        raise LasError(f"{path}: byte {header.first}: has no points that can be read ({reasons}); copy it again")
 
 
 def _batches(window: Window, header: Header) -> Iterator[bytes]:
-    """Yield the records that the file holds, so many as declared; all of them where none are declared."""
-    room = (header.end - header.first) // header.record_bytes
-    count = min(header.declared or room, room)
+    """Yield the declared records, as far as the file has them; all records where none are declared."""
+    capacity = (header.end - header.first) // header.record_bytes
+    count = min(header.declared or capacity, capacity)
     for begin in range(0, count, _BATCH):
         size = min(_BATCH, count - begin) * header.record_bytes
         yield bytes(window.read(header.first + begin * header.record_bytes, size))
@@ -101,7 +101,7 @@ def _block(rows: np.ndarray, header: Header, bounds: "_Bounds") -> Block:
 
 
 class _Bounds:
-    """The bounds that a header states: few points beyond are damaged; if most are, the header is."""
+    """The bounds in a header: if few points are beyond them, these are damaged; if most are, the header is."""
 
     def __init__(self, header: Header) -> None:
         self._low, self._high = header.lowest - 2 * header.scale, header.highest + 2 * header.scale
@@ -111,7 +111,7 @@ class _Bounds:
         self._stated, self._beyond = bool(np.any(header.lowest != header.highest)), 0
 
     def beyond(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return which points (n,) are impossible; none where the bounds are not believed, by the first points."""
+        """Return which points (n,) are impossible; the first points decide whether the bounds are believed."""
         outside = np.zeros(len(x), bool)
         for low, high, values in zip(self._low, self._high, (x, y, z), strict=True):
             outside |= ~((low <= values) & (values <= high))
@@ -120,9 +120,9 @@ class _Bounds:
         self._beyond += int(outside.sum())
         return outside if self._believed else np.zeros(len(x), bool)
 
-    def tell(self, points: Points, found: int) -> None:
-        """Tell where points and bounds do not agree."""
+    def report(self, points: Points, count: int) -> None:
+        """Report points beyond the bounds."""
         if not self._beyond or not self._stated:
             return
         kept = "they are flagged" if self._believed else "bounds, scales or offsets of its header are wrong"
-        points.problems.tell(f"{self._beyond} of {found} points lie beyond the bounds that its header states: {kept}")
+        points.problems.add(f"{self._beyond} of {count} points lie beyond the bounds that its header states: {kept}")

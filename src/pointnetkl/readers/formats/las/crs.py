@@ -17,17 +17,17 @@ _WKT_BEGINS = re.compile(
     re.IGNORECASE,
 )
 _UNITS_M = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # EPSG: metre, foot, US survey foot
-_HEIGHTS = {  # codes that GeoTIFF 1.0 has of its own
+_HEIGHTS = {  # vertical codes of GeoTIFF 1.0
     **dict.fromkeys(range(5001, 5034), "height above an ellipsoid"),
     **{5101: "ODN height", 5102: "NGVD29 height", 5103: "NAVD88 height"},
     **{5104: "Yellow Sea height", 5105: "Baltic height", 5106: "Caspian height"},
 }
-_SURE = 70  # percent: how alike a WKT and an EPSG code must be
+_SURE = 70  # percent of agreement between a WKT and an EPSG code
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What a file's coordinates are in."""
+    """The coordinate system of a file."""
 
     crs: str  # EPSG:n where it has a code, else WKT; projection.LOCAL where the file has none
     vertical: str  # name of the vertical CRS, empty where there is none
@@ -44,44 +44,44 @@ def reference(path: Path, header: Header) -> Reference:
     text = header.records.get((_USER, _WKT), b"").split(b"\0", 1)[0].decode("utf-8", "replace").strip()
     keys = _keys(header.records.get((_USER, _KEYS), b""))
     code = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)
-    known = _parsed(text) if text else _parsed(code) if code and code < 32767 else None
-    if known is None:
+    crs = _parsed(text) if text else _parsed(code) if code and code < 32767 else None
+    if crs is None:
         if text or code or keys.get(_LINEAR_UNIT, 9001) != 9001:
             raise LasError(
                 f"{path}: its coordinate system {(text or f'with GeoTIFF keys {keys}')[:80]!r} is not known;"
                 " write the file again with an EPSG code"
             )
-        return Reference(projection.LOCAL, *_height_of_keys(keys))
-    level, height = _parts(known)
+        return Reference(projection.LOCAL, *_height_from_keys(keys))
+    level, height = _parts(crs)
     if height is not None:
         return Reference(_horizontal(path, level), *_height(height))
     if len(level.axis_info) > 2:
         unit_m = level.axis_info[2].unit_conversion_factor or 1.0
         return Reference(_horizontal(path, level.to_2d()), f"height above the ellipsoid of {level.name}", unit_m, False)
-    return Reference(_horizontal(path, level), *_height_of_keys(keys))
+    return Reference(_horizontal(path, level), *_height_from_keys(keys))
 
 
 def _keys(record: bytes) -> dict[int, int]:
-    """Return the GeoTIFF keys that hold a code; the others hold texts and parameters."""
+    """Return the GeoTIFF keys whose value is a code; the others refer to texts and parameters."""
     words = np.frombuffer(record, "<u2", len(record) // 8 * 4).reshape(-1, 4)[1:]
     return {int(key): int(value) for key, place, _, value in words if place == 0}
 
 
-def _parsed(said: str | int) -> Any:
-    """Return the CRS of a WKT or an EPSG code, None if it is none."""
-    from pyproj import CRS  # takes its time
+def _parsed(definition: str | int) -> Any:
+    """Return the CRS of a WKT or an EPSG code, None if there is none."""
+    from pyproj import CRS  # slow to import
     from pyproj.exceptions import CRSError
 
-    if isinstance(said, str) and not _WKT_BEGINS.match(said):
-        return None  # else it would be looked up by its name, which takes a second
+    if isinstance(definition, str) and not _WKT_BEGINS.match(definition):
+        return None  # pyproj would look it up by name, which takes a second
     try:
-        return CRS.from_wkt(said) if isinstance(said, str) else CRS.from_epsg(said)
+        return CRS.from_wkt(definition) if isinstance(definition, str) else CRS.from_epsg(definition)
     except CRSError:
         return None
 
 
 def _parts(crs: Any) -> tuple[Any, Any]:
-    """Return the horizontal and the vertical part of a CRS, the latter None where there is none."""
+    """Return the horizontal and the vertical part of a CRS; the latter is None if there is none."""
     if crs.is_bound:
         crs = crs.source_crs
     level, height = (crs.sub_crs_list[:2]) if crs.is_compound else (crs, None)
@@ -89,18 +89,18 @@ def _parts(crs: Any) -> tuple[Any, Any]:
 
 
 def _height(crs: Any) -> tuple[str, float, bool | None]:
-    """Return name, metres per unit, and whether z counts down, of a vertical CRS."""
+    """Return a vertical CRS's name, its metres per unit, and whether z counts down."""
     axis = (crs.source_crs if crs.is_bound else crs).axis_info[0]
     return crs.name, axis.unit_conversion_factor or 1.0, {"up": False, "down": True}.get(axis.direction.lower())
 
 
-def _height_of_keys(keys: dict[int, int]) -> tuple[str, float, bool | None]:
-    """Return the same by the GeoTIFF keys, of which that of the unit wins."""
+def _height_from_keys(keys: dict[int, int]) -> tuple[str, float, bool | None]:
+    """Return the same by the GeoTIFF keys; the key of the unit has precedence."""
     code = keys.get(_VERTICAL, 0)
-    known = _parsed(code) if 1023 < code < 32767 else None
+    crs = _parsed(code) if 1023 < code < 32767 else None
     name, unit_m, down = "", 1.0, None
-    if known is not None and known.is_vertical:
-        name, unit_m, down = _height(known)
+    if crs is not None and crs.is_vertical:
+        name, unit_m, down = _height(crs)
     elif code in _HEIGHTS:
         name, down = _HEIGHTS[code], False
     return name, _UNITS_M.get(keys.get(_VERTICAL_UNIT, 0), unit_m), down

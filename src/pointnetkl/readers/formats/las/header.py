@@ -1,4 +1,4 @@
-"""The head of a LAS file (ASPRS LAS 1.0 to 1.4): what it says of its points, none of which is believed unchecked."""
+"""The header of a LAS file (ASPRS LAS 1.0 to 1.4), checked before anything in it is used."""
 
 import struct
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _GEOMETRY = struct.Struct("<12d")  # at byte 131: scales, offsets, then the high
 _LONG = struct.Struct("<QIQ")  # at byte 235 of LAS 1.4: the first extended record, how many, the number of points
 _SHORT_RECORD, _LONG_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
 _SHORTEST = 227  # bytes of the header of LAS 1.0 to 1.2
-_MOST_RECORDS, _LARGEST_RECORD = 10_000, 1 << 22  # variable length records that are looked at; bytes of one
+_MOST_RECORDS, _LARGEST_RECORD = 10_000, 1 << 22  # variable length records that are read; bytes of one
 
 
 class LasError(SurveyError):
@@ -26,27 +26,27 @@ class LasError(SurveyError):
 
 @dataclass(frozen=True)
 class Header:
-    """What the head of a file declares."""
+    """What the header of a file declares."""
 
     point_format: int  # 0 to 10
     compressed: bool
     record_bytes: int
     first: int  # byte where the points begin
-    end: int  # byte before which they end, by what else is in the file
-    declared: int  # points
+    end: int  # byte before which they end, because other data begins there or the file ends
+    declared: int  # number of points
     scale: np.ndarray  # (3,)
     offset: np.ndarray  # (3,)
     lowest: np.ndarray  # (3,) bounds of x, y, z
     highest: np.ndarray  # (3,)
     system: str
-    records: dict[tuple[str, int], bytes]  # variable length records by user and number, of each the first
+    records: dict[tuple[str, int], bytes]  # variable length records by user and number; the first of each
 
 
 def read(path: Path, window: Window) -> Header:
-    """Return the head of a file.
+    """Return the header of a file.
 
     Raises:
-        LasError: the file is not LAS, or its head contradicts itself or the file's size.
+        LasError: the file is not LAS, or its header contradicts itself or the file's size.
     """
     if window.size < _SHORTEST or bytes(window.read(0, 4)) != b"LASF":
         raise LasError(f"{path}: byte 0: must begin with LASF and have a header of 227 bytes; it is no LAS file")
@@ -62,10 +62,10 @@ def read(path: Path, window: Window) -> Header:
     scale, offset, extent = _geometry(path, window)
     records, end = _records(window, size, first, count), window.size
     if minor >= 4 and size >= 375:
-        start, more, total = _LONG.unpack(window.read(235, _LONG.size))
-        points = total or points  # the short count is left at 0 by writers of more points than it can hold
+        start, extended, total = _LONG.unpack(window.read(235, _LONG.size))
+        points = total or points  # the short count is 0 if there are more points than it can hold
         if first < start < window.size:
-            records, end = _extended(window, start, more) | records, start
+            records, end = _extended(window, start, extended) | records, start
     compressed, low, high = bool(kind & _COMPRESSED), extent[:, 1], extent[:, 0]
     return Header(
         point_format, compressed, length, first, end, points, scale, offset, low, high, _text(system), records
@@ -80,30 +80,30 @@ def _geometry(path: Path, window: Window) -> tuple[np.ndarray, np.ndarray, np.nd
     return scale, offset, extent
 
 
-def _records(window: Window, at: int, end: int, count: int) -> dict[tuple[str, int], bytes]:
-    found: dict[tuple[str, int], bytes] = {}
+def _records(window: Window, offset: int, end: int, count: int) -> dict[tuple[str, int], bytes]:
+    records: dict[tuple[str, int], bytes] = {}
     for _ in range(min(count, _MOST_RECORDS)):
-        if at + _SHORT_RECORD.size > end:
+        if offset + _SHORT_RECORD.size > end:
             break
-        user, number, length = _SHORT_RECORD.unpack(window.read(at, _SHORT_RECORD.size))
-        at += _SHORT_RECORD.size
-        if at + length <= end:
-            found.setdefault((_text(user), number), bytes(window.read(at, length)))
-        at += length
-    return found
+        user, number, length = _SHORT_RECORD.unpack(window.read(offset, _SHORT_RECORD.size))
+        offset += _SHORT_RECORD.size
+        if offset + length <= end:
+            records.setdefault((_text(user), number), bytes(window.read(offset, length)))
+        offset += length
+    return records
 
 
-def _extended(window: Window, at: int, count: int) -> dict[tuple[str, int], bytes]:
-    found: dict[tuple[str, int], bytes] = {}
+def _extended(window: Window, offset: int, count: int) -> dict[tuple[str, int], bytes]:
+    records: dict[tuple[str, int], bytes] = {}
     for _ in range(min(count, _MOST_RECORDS)):
-        if at + _LONG_RECORD.size > window.size:
+        if offset + _LONG_RECORD.size > window.size:
             break
-        user, number, length = _LONG_RECORD.unpack(window.read(at, _LONG_RECORD.size))
-        at += _LONG_RECORD.size
-        if length <= min(_LARGEST_RECORD, window.size - at):
-            found.setdefault((_text(user), number), bytes(window.read(at, length)))
-        at += length
-    return found
+        user, number, length = _LONG_RECORD.unpack(window.read(offset, _LONG_RECORD.size))
+        offset += _LONG_RECORD.size
+        if length <= min(_LARGEST_RECORD, window.size - offset):
+            records.setdefault((_text(user), number), bytes(window.read(offset, length)))
+        offset += length
+    return records
 
 
 def _text(field: bytes) -> str:

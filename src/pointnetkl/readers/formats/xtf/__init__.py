@@ -1,7 +1,7 @@
-"""XTF, the eXtended Triton Format: ranges and angles of multibeam sonars, which are georeferenced here.
+"""XTF, the eXtended Triton Format: ranges and angles of multibeam sonars, from which soundings are computed here.
 
-Read are R2Sonic's (packets 65 and 68), RESON's 7k (61, with records 7027 or 7006) and what QINSy writes of any sonar
-(28); of other packets with soundings the number is told.
+The packets that are read are those of R2Sonic (65 and 68), RESON's 7k (61, with records 7027 or 7006) and QINSy's for
+any sonar (28). Other packets with soundings are counted and reported.
 """
 
 import struct
@@ -38,25 +38,25 @@ from pointnetkl.readers.formats.xtf.packets import (
 )
 from pointnetkl.readers.formats.xtf.raytrace import SPEEDS, Fan
 from pointnetkl.readers.formats.xtf.streams import SIZE, Samples, Sources, Streams
-from pointnetkl.readers.formats.xtf.swaths import Ping
+from pointnetkl.readers.formats.xtf.swaths import RangePing
 from pointnetkl.surveys.survey import SurveyError
 
 SUFFIXES = (".xtf",)
 
 _DECODERS = {QINSY_R2SONIC: r2sonic.fan, R2SONIC: r2sonic.fan, RESON: reson7k.fan, Q_MULTIBEAM: qps.fan}
 _STREAMED = (RAW_NAVIGATION, NAVIGATION, GYRO, TIMED_GYRO, ATTITUDE)
-_WALKED, _PROBED = 1 << 16, 1 << 6  # bytes that are held to see the packets' headers
-_BATCH = 1 << 15  # soundings that are placed at once
+_WALKED, _PROBED = 1 << 16, 1 << 6  # bytes that are read at once where only headers are needed
+_BATCH = 1 << 15  # soundings that are computed at once
 _POSE = struct.Struct("<ff2d")  # at byte 120: speed, gyro, ship's y and x
 _SENSOR = struct.Struct("<2d")  # at byte 160: y and x
 _MOTION = struct.Struct("<4f")  # at byte 204: pitch, roll, heading, heave
 _DAY_S = 86_400.0
-_SAME_S = 1.0  # by which the sonar's clock may be off from the recorder's
-_SPEED = 1500.0  # m/s, of sound where nothing is known
+_SAME_S = 1.0  # by which the sonar's clock may differ from the recorder's
+_SPEED = 1500.0  # m/s, of sound where the file has none
 
 
 class XtfError(SurveyError):
-    """A file is not XTF, or has no packet that is whole."""
+    """A file is not XTF, or has no whole packet."""
 
 
 def begins(head: bytes) -> bool:
@@ -65,10 +65,10 @@ def begins(head: bytes) -> bool:
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Yield the soundings of an XTF file; a first pass has gathered its positions and motion.
+    """Yield the soundings of an XTF file, after a first pass that gathers positions and motion.
 
     Raises:
-        XtfError: the file cannot be opened, ends within its header, or has no packet that is whole.
+        XtfError: the file cannot be opened, ends within its header, or has no whole packet.
     """
     try:
         walked, probed, window = Window(path, _WALKED), Window(path, _PROBED), Window(path)
@@ -88,7 +88,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 class _Gathered:
-    """What the first pass has found: where the pings are, and positions and motion of the whole file."""
+    """The result of the first pass: the places of the pings, and positions and motion of the whole file."""
 
     def __init__(self, name: str, header: FileHeader) -> None:
         self.name, self.header = name, header
@@ -97,7 +97,7 @@ class _Gathered:
         self.problems = Problems(name)
         self.streams = Streams(header.latency_s, header.units != METRES)
         self.pings = array("q")  # offset, size, type, channel
-        self._poses = Samples(2, 0 if header.units != METRES else None)  # as the pings' own headers have them
+        self._poses = Samples(2, 0 if header.units != METRES else None)  # from the headers of the pings
         self._motion = Samples(4, 2)
 
     @property
@@ -115,48 +115,54 @@ class _Gathered:
     def damaged(self, begin: int, end: int, kind: int) -> None:
         if kind in _DECODERS:
             self.skip("pings in damaged bytes", 1)
-        self.tell(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
+        self.add_problem(f"{end - begin} bytes from byte {begin} on are damaged or cut off")
 
     def skip(self, reason: str, count: int) -> None:
         if count:
             self.skipped[reason] += count
 
-    def tell(self, sentence: str) -> None:
-        self.problems.tell(sentence)
+    def add_problem(self, sentence: str) -> None:
+        self.problems.add(sentence)
 
     def close(self) -> None:
-        """Tell what the file lacks, and take positions and motion from the pings where no packets have them."""
+        """Report what the file lacks, and take positions and motion from the pings where no packets have them."""
         if not len(self.streams.positions.of_most.table):
             self.streams.positions = Sources({0: self._poses})
         if not len(self.streams.attitude.table):
             self.streams.attitude = self._motion
             if self.pings and not np.any(self._motion.table[:, 1:3]):
-                self.tell("has no roll and pitch: its soundings are not levelled")
+                self.add_problem("has no roll and pitch: its soundings are not levelled")
         if self.header.units not in (METRES, DEGREES):
-            self.tell(f"has positions in the unknown unit {self.header.units}, which are taken as degrees")
+            self.add_problem(f"has positions in the unknown unit {self.header.units}, which are taken as degrees")
         if self.kinds[Q_MULTIBEAM]:
-            self.tell("has beam angles of packet 28, which are taken as degrees to starboard; the format does not say")
-        for sentence in (*self.streams.told(), *xtf_swaths.unapplied(self.header)):
-            self.tell(sentence)
+            self.add_problem(
+                "has beam angles of packet 28, which are taken as degrees to starboard; the format does not say"
+            )
+        for sentence in (*self.streams.notes(), *xtf_swaths.unapplied(self.header)):
+            self.add_problem(sentence)
         self._unread()
 
     def _unread(self) -> None:
         unread = {
-            kind: n for kind, n in sorted(self.kinds.items()) if kind in xtf_packets.NAMES and kind not in _DECODERS
+            kind: count
+            for kind, count in sorted(self.kinds.items())
+            if kind in xtf_packets.NAMES and kind not in _DECODERS
         }
-        held = ", ".join(f"{n} packets of type {kind} ({xtf_packets.NAMES[kind]})" for kind, n in unread.items())
-        if held:
-            self.tell(f"holds {held}, which are not read")
+        listed = ", ".join(
+            f"{count} packets of type {kind} ({xtf_packets.NAMES[kind]})" for kind, count in unread.items()
+        )
+        if listed:
+            self.add_problem(f"holds {listed}, which are not read")
         self.skip("pings of a kind that is not read", sum(unread.values()))
-        if not self.pings and not held:
-            most = ", ".join(f"{n} of type {kind}" for kind, n in self.kinds.most_common(5))
-            self.tell(f"has no pings; of its packets are {most}")
+        if not self.pings and not listed:
+            most = ", ".join(f"{count} of type {kind}" for kind, count in self.kinds.most_common(5))
+            self.add_problem(f"has no pings; of its packets are {most}")
 
     def _header(self, data: bytes) -> None:
         time = xtf_packets.clock(data, 14) + data[21] / 100.0
         _, gyro, north, east = _POSE.unpack_from(data, 120)
-        of_sensor = _SENSOR.unpack_from(data, 160)
-        north, east = of_sensor if any(of_sensor) else (north, east)
+        sensor_place = _SENSOR.unpack_from(data, 160)
+        north, east = sensor_place if any(sensor_place) else (north, east)
         if xtf_streams.positioned(east, north, self.header.units != METRES):
             self._poses.add(time, east, north)
         pitch, roll, heading, heave = _MOTION.unpack_from(data, 204)
@@ -165,7 +171,7 @@ class _Gathered:
 
 @dataclass
 class _Whole:
-    """What became of the pings of a file."""
+    """The sensor of a file, and doubts about its pings."""
 
     sensor: str = ""
     assumed: int = 0  # pings whose sound speed is not known
@@ -179,31 +185,31 @@ def _parts(gathered: _Gathered, window: Window) -> Iterator[Recording]:
         if swaths.count >= PART:
             yield _part(gathered, swaths, whole)
     if whole.assumed:
-        gathered.tell(f"has no sound speed in {whole.assumed} pings, for which {_SPEED:.0f} m/s is taken")
-    for sentence in swaths.told():
-        gathered.tell(sentence)
+        gathered.add_problem(f"has no sound speed in {whole.assumed} pings, for which {_SPEED:.0f} m/s is taken")
+    for sentence in swaths.notes():
+        gathered.add_problem(sentence)
     if swaths.count or gathered.skipped or gathered.problems or not len(gathered.pings):
         yield _part(gathered, swaths, whole)
 
 
 def _part(gathered: _Gathered, swaths: xtf_swaths.Swaths, whole: _Whole) -> Recording:
-    skipped, problems = dict(gathered.skipped), gathered.problems.taken()
+    skipped, problems = dict(gathered.skipped), gathered.problems.drain()
     gathered.skipped.clear()
     pings, soundings = swaths.tables()
     vertical = xtf_swaths.vertical(gathered.header)
-    tables = (pings, soundings, skipped, problems.told)
-    return Recording(gathered.name, gathered.crs, *tables, whole.sensor, vertical, untold=problems.untold)
+    tables = (pings, soundings, skipped, problems.sentences)
+    return Recording(gathered.name, gathered.crs, *tables, whole.sensor, vertical, problems_omitted=problems.omitted)
 
 
-def _batches(gathered: _Gathered, window: Window, whole: _Whole) -> Iterator[list[Ping]]:
-    """Yield runs of pings that have as many beams."""
-    batch: list[Ping] = []
+def _batches(gathered: _Gathered, window: Window, whole: _Whole) -> Iterator[list[RangePing]]:
+    """Yield runs of pings with equal numbers of beams."""
+    batch: list[RangePing] = []
     for offset, size, kind, channel in np.frombuffer(gathered.pings, np.int64).reshape(-1, 4).tolist():
         data = bytes(window.read(offset, size))
         fan = _DECODERS[kind](data[HEADER:])
         if isinstance(fan, str):
             gathered.skip("pings that cannot be used", 1)
-            gathered.tell(f"the ping at byte {offset} cannot be used: it {fan}")
+            gathered.add_problem(f"the ping at byte {offset} cannot be used: it {fan}")
             continue
         whole.sensor = whole.sensor or fan.sensor
         if batch and (len(batch[0].fan.angle) != len(fan.angle) or len(batch) * len(fan.angle) >= _BATCH):
@@ -214,26 +220,26 @@ def _batches(gathered: _Gathered, window: Window, whole: _Whole) -> Iterator[lis
         yield batch
 
 
-def _ping(data: bytes, fan: Fan, channel: int, whole: _Whole) -> Ping:
+def _ping(data: bytes, fan: Fan, channel: int, whole: _Whole) -> RangePing:
     recorded = xtf_packets.clock(data, 14) + data[21] / 100.0
     time = _time(recorded, fan.time_s)
     speed = fan.speed if np.isfinite(fan.speed) else _speed(data)
     whole.assumed += int(np.isnan(speed))
     (depth,) = struct.unpack_from("<f", data, 192)
     depth = depth if 0.0 < depth < 12_000.0 else 0.0
-    return Ping(time, fan, _SPEED if np.isnan(speed) else speed, depth, channel)
+    return RangePing(time, fan, _SPEED if np.isnan(speed) else speed, depth, channel)
 
 
 def _time(recorded: float, sonar: float) -> float:
-    """Return the sonar's time, which is finer, unless its clock is not set; the recorder's date may be of yesterday."""
+    """Return the sonar's time, which is finer, unless its clock is not set; the recorder's date may be a day behind."""
     off = abs(sonar - recorded)
     return sonar if off < _SAME_S or abs(off - _DAY_S) < _SAME_S else recorded
 
 
 def _speed(data: bytes) -> float:
-    """Return the sound speed in a ping's header, where it may be that of the way there and back: half of it."""
-    for at in (32, 72):
-        (speed,) = struct.unpack_from("<f", data, at)
+    """Return the sound speed in a ping's header, which may be half the true one; NaN if there is none."""
+    for offset in (32, 72):
+        (speed,) = struct.unpack_from("<f", data, offset)
         for value in (speed, 2.0 * speed):
             if SPEEDS[0] < value < SPEEDS[1]:
                 return float(value)

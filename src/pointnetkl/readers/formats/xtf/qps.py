@@ -1,6 +1,6 @@
 """Multibeam pings as QINSy writes them for any sonar (XTF packet 28): travel time, beam and tilt angle of each beam.
 
-The format does not say how angles count. They are taken as degrees, to starboard and forward, as MBES-lib does.
+The format does not define its angles. They are taken as degrees, to starboard and forward, as MBES-lib does.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ _STEEPEST = 89.0  # degrees
 
 
 def fan(content: bytes | memoryview) -> Fan | str:
-    """Return what a ping's beams hold, or why they cannot be used; neither time nor sound speed is in them."""
+    """Return a ping's beams, without time and sound speed, or the reason why they cannot be used."""
     count = len(content) // _BEAM.itemsize
     if not 0 < count <= MOST_BEAMS:
         return f"has {count} beams"

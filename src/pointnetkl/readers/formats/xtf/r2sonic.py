@@ -12,14 +12,14 @@ from pointnetkl.readers.formats.xtf.raytrace import MOST_BEAMS, SPEEDS, Fan
 
 _PACKET, _SECTION = struct.Struct(">4sII"), struct.Struct(">2sH")
 _HEAD = struct.Struct(">12s12sIIIff")  # model, serial, seconds, nanoseconds, ping, period, sound speed
-# bytes in H0 of the transmitted fan's steering along the track, forward, the tilt of the receiver's mount, the beams
+# bytes in H0: steering of the transmitted fan, positive forward; tilt of the receiver's mount; number of beams
 _STEERING, _MOUNT, _POINTS = 68, 104, 114
 _STEEPEST = 1.5  # radians
-_PHASE, _MAGNITUDE, _COLLINEAR, _BRIGHT = 8, 4, 2, 1  # of Q0: how the echo was found, which tests it passed
+_PHASE, _MAGNITUDE, _COLLINEAR, _BRIGHT = 8, 4, 2, 1  # bits of Q0: detection methods, then tests passed
 
 
 def fan(content: bytes | memoryview) -> Fan | str:
-    """Return what a BTH0 packet holds, or why it cannot be used."""
+    """Return the ping in a BTH0 packet, or the reason why it cannot be used."""
     sections = _sections(content)
     if isinstance(sections, str):
         return sections
@@ -35,7 +35,7 @@ def fan(content: bytes | memoryview) -> Fan | str:
     scale = struct.unpack_from(">f", ranges, 4)[0]
     if not 0.0 < scale < 1.0:
         return f"has the range scale {scale:.3g}"
-    tilt, mount = (struct.unpack_from(">f", head, at)[0] for at in (_STEERING, _MOUNT))
+    tilt, mount = (struct.unpack_from(">f", head, offset)[0] for offset in (_STEERING, _MOUNT))
     if not abs(tilt) < _STEEPEST:
         return f"is steered by {tilt:.3g} rad"
     model, serial, seconds, nanoseconds, _, _, speed = _HEAD.unpack_from(head, 4)
@@ -53,14 +53,14 @@ def _sections(content: bytes | memoryview) -> dict[bytes, bytes] | str:
     mark, size, _ = _PACKET.unpack_from(content)
     if mark != b"BTH0" or not _PACKET.size <= size <= len(content):
         return f"is no BTH0 packet that fits: it says {size} bytes and has {len(content)}"
-    data, at, found = bytes(content[:size]), _PACKET.size, dict[bytes, bytes]()
-    while at + _SECTION.size <= size:
-        name, length = _SECTION.unpack_from(data, at)
-        if length < _SECTION.size or at + length > size:
+    data, offset, sections = bytes(content[:size]), _PACKET.size, dict[bytes, bytes]()
+    while offset + _SECTION.size <= size:
+        name, length = _SECTION.unpack_from(data, offset)
+        if length < _SECTION.size or offset + length > size:
             return f"has a section {name!r} of {length} bytes, which does not fit"
-        found.setdefault(name, data[at : at + length])
-        at += length
-    return found
+        sections.setdefault(name, data[offset : offset + length])
+        offset += length
+    return sections
 
 
 def _angles(sections: dict[bytes, bytes], count: int) -> np.ndarray | None:

@@ -1,8 +1,8 @@
-"""Ranges and angles of a multibeam sonar to soundings: one sound speed, straight rays, motion at sending and receiving.
+"""Soundings from ranges and angles of a multibeam sonar: straight rays, motion at sending and at receiving.
 
 Frames are x forward, y to starboard, z down; roll is positive with the starboard side down, pitch with the bow up, yaw
-and heading clockwise. A beam lies on two cones, one about the axis of the transmitter when it sent and one about that
-of the receiver when it heard (Beaudoin, Hughes Clarke and Bartlett 2004, "Application of surface sound speed
+and heading clockwise. A beam is on two cones: one around the transmitter's axis at the time of sending, one around the
+receiver's axis at the time of receiving (Beaudoin, Hughes Clarke and Bartlett 2004, "Application of surface sound speed
 measurements in post-processing for multi-sector multibeam echosounders").
 """
 
@@ -16,16 +16,16 @@ SPEEDS = (1300.0, 1700.0)  # m/s, of sound in water
 
 @dataclass(frozen=True)
 class Fan:
-    """What a sonar measured with one ping of b beams, from port to starboard."""
+    """A sonar's measurements of one ping of b beams, from port to starboard."""
 
-    time_s: float  # UTC since 1970; NaN where the sonar has not said
+    time_s: float  # UTC since 1970; NaN where unknown
     travel_s: np.ndarray  # (b,) two ways
     angle: np.ndarray  # (b,) radians from the receiver's axis, to starboard
     tilt: float  # radians of the transmitted fan, forward
-    speed: float  # m/s at the sonar; NaN where it has not said
+    speed: float  # of sound at the sonar, m/s; NaN where unknown
     quality: np.ndarray  # (b,) int8
     sensor: str
-    mount: float = 0.0  # radians by which the sonar says that its receiver is mounted; told, and not applied
+    mount: float = 0.0  # tilt of the receiver's mount by the sonar, radians; reported, but not applied
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class Arms:
-    """Where the sonars of n pings are, metres, and how they are turned, in the vessel's axes."""
+    """Lever arms and axes of the sonars of n pings, in the vessel's axes; metres."""
 
-    navigation: np.ndarray  # (n, 3) from where the positions are to the sonar
-    motion: np.ndarray  # (n, 3) from where the heave is to the sonar
-    depth_m: np.ndarray  # (n,) of where the heave is, below the water line
+    navigation: np.ndarray  # (n, 3) from the point of the positions to the sonar
+    motion: np.ndarray  # (n, 3) from the point of the heave to the sonar
+    depth_m: np.ndarray  # (n,) of the point of the heave, below the water line
     ahead: np.ndarray  # (n, 3) the transmitter's axis, of length 1
     across: np.ndarray  # (n, 3) the receiver's axis, to starboard, of length 1
 
@@ -52,8 +52,8 @@ class Arms:
 Vector = tuple[np.ndarray, np.ndarray, np.ndarray]  # forward, to starboard, down; each of any shape
 
 
-def turned(vector: Vector, roll: np.ndarray, pitch: np.ndarray, heading: np.ndarray) -> Vector:
-    """Return a vector in the vessel's axes as one that is levelled, and counts from where `heading` does; radians."""
+def levelled(vector: Vector, roll: np.ndarray, pitch: np.ndarray, heading: np.ndarray) -> Vector:
+    """Return a vector in the vessel's axes in levelled axes, from whose x the angle `heading` counts; radians."""
     x, y, z = vector
     cos, sin = np.cos(roll), np.sin(roll)
     y, z = cos * y - sin * z, sin * y + cos * z
@@ -72,7 +72,7 @@ def soundings(
     heard: Motion,
     arms: Arms,
 ) -> Vector:
-    """Return where n pings of b beams met the seabed: metres forward, to starboard of the position, below the water.
+    """Return the soundings of n pings of b beams: metres forward, to starboard of the position, below the water line.
 
     Args:
         travel_s: (n, b) two-way travel times.
@@ -85,13 +85,13 @@ def soundings(
     """
     sending = (sent.roll[:, None], sent.pitch[:, None], np.zeros((len(speed), 1)))
     hearing = (heard.roll, heard.pitch, heard.heading - sent.heading[:, None])
-    ahead, across = turned(_columns(arms.ahead), *sending), turned(_columns(arms.across), *hearing)
+    ahead, across = levelled(_columns(arms.ahead), *sending), levelled(_columns(arms.across), *hearing)
     beam = _directions(ahead, across, angle, tilt[:, None])
     reach = travel_s * (speed[:, None] / 2.0)
-    forward, starboard, _ = turned(_columns(arms.navigation), *sending)
-    # the sonar's depth is between what it was at sending and at hearing
+    forward, starboard, _ = levelled(_columns(arms.navigation), *sending)
+    # the sonar's depth is the mean of those at sending and at receiving
     arm = _columns(arms.motion)
-    down = (turned(arm, *sending)[2] + turned(arm, *hearing)[2]) / 2.0
+    down = (levelled(arm, *sending)[2] + levelled(arm, *hearing)[2]) / 2.0
     heave = (sent.heave[:, None] + heard.heave) / 2.0
     return (
         reach * beam[0] + forward,
@@ -106,15 +106,15 @@ def _columns(vectors: np.ndarray) -> Vector:
 
 
 def _directions(ahead: Vector, across: Vector, angle: np.ndarray, tilt: np.ndarray) -> Vector:
-    """Return unit vectors (n, b) down, at an angle to each of two axes that are not quite square to each other."""
+    """Return unit vectors (n, b) down, each at an angle to two axes that are almost perpendicular."""
     (ax, ay, az), (bx, by, bz) = ahead, across
     between = ax * bx + ay * by + az * bz
     square = 1.0 - between**2
-    of_ahead, of_across = np.sin(tilt), np.sin(angle)
-    a = (of_ahead - between * of_across) / square
-    b = (of_across - between * of_ahead) / square
-    rest = np.maximum(1.0 - a**2 - b**2 - 2.0 * a * b * between, 0.0)
-    down = np.sqrt(rest / square)
+    sin_tilt, sin_angle = np.sin(tilt), np.sin(angle)
+    a = (sin_tilt - between * sin_angle) / square
+    b = (sin_angle - between * sin_tilt) / square
+    remainder = np.maximum(1.0 - a**2 - b**2 - 2.0 * a * b * between, 0.0)
+    down = np.sqrt(remainder / square)
     return (
         a * ax + b * bx + down * (ay * bz - az * by),
         a * ay + b * by + down * (az * bx - ax * bz),

@@ -1,6 +1,6 @@
-"""The bathymetry of RESON's 7k sonars: record 7027, raw detections, or 7006 with the beams' angles, 7004, behind it.
+"""The bathymetry of RESON's 7k sonars: record 7027, raw detections, or 7006 followed by the beams' angles, 7004.
 
-After Teledyne RESON's "SeaBat 7k Data Format, Data Format Definition", version 3; as QINSy puts it into XTF.
+By Teledyne RESON's "SeaBat 7k Data Format, Data Format Definition", version 3, as QINSy writes it into XTF.
 """
 
 import datetime
@@ -16,7 +16,7 @@ _FRAME = 64  # bytes of the frame before a record
 _TIME = struct.Struct("<HHfBB")  # year, day of the year, seconds, hours, minutes
 _HEAD, _HEAD_BYTES = struct.Struct("<QIHIIBIff"), 99
 _BATHYMETRY_HEAD, _GEOMETRY_HEAD = struct.Struct("<QIHIBBf"), struct.Struct("<QI")
-# of a raw detection: beam, sample, angle, how it was found, which tests it passed
+# of a raw detection: beam, sample, angle, method of detection, tests passed
 _NAMES, _FORMATS = ["beam", "sample", "angle", "flags", "quality"], ["<u2", "<f4", "<f4", "<u4", "<u4"]
 _OFFSETS = [0, 2, 6, 10, 14]
 _TESTS, _FOUND = 3, 3  # bits of quality: brightness, collinearity; of flags: by magnitude, by phase
@@ -25,9 +25,9 @@ _YEARS = range(1990, 2100)
 
 
 def fan(content: bytes | memoryview) -> Fan | str:
-    """Return what a record 7027, or 7006 with 7004 behind it, holds, or why it cannot be used.
+    """Return the ping in a record 7027, or 7006 and 7004, or the reason why it cannot be used.
 
-    The sound speed stands in 7006 alone.
+    Only 7006 has the sound speed.
     """
     if len(content) < _FRAME + _HEAD_BYTES:
         return "is cut off"
@@ -35,32 +35,32 @@ def fan(content: bytes | memoryview) -> Fan | str:
     (kind,) = struct.unpack_from("<I", content, 32)
     if sync != _SYNC or kind not in (_RAW_DETECTIONS, _BATHYMETRY):
         return f"holds no record 7027 or 7006, but {kind if sync == _SYNC else 'something else'}"
-    # the place of the record's own header is counted from behind the first two numbers
+    # the offset of the record's own header counts from the end of the first two numbers
     if 4 + start != _FRAME or not _FRAME < size <= len(content):
         return f"has a record of {size} bytes with its header at byte {4 + start}, which does not fit"
     return _raw_detections(content, size) if kind == _RAW_DETECTIONS else _bathymetry(content, size)
 
 
 def _raw_detections(content: bytes | memoryview, size: int) -> Fan | str:
-    _, _, _, count, each, _, _, rate, tilt = _HEAD.unpack_from(content, _FRAME)
+    _, _, _, count, detection_bytes, _, _, rate, tilt = _HEAD.unpack_from(content, _FRAME)
     begin = _FRAME + _HEAD_BYTES
-    if not 0 < count <= MOST_BEAMS or not 18 <= each <= 256 or begin + count * each > size:
-        return f"says that it has {count} detections of {each} bytes, which do not fit"
+    if not 0 < count <= MOST_BEAMS or not 18 <= detection_bytes <= 256 or begin + count * detection_bytes > size:
+        return f"says that it has {count} detections of {detection_bytes} bytes, which do not fit"
     if not 100.0 < rate < 10_000_000.0 or not abs(tilt) < _STEEPEST:
         return f"has the sampling rate {rate:.3g} Hz and the transmit angle {tilt:.3g} rad"
-    layout = np.dtype({"names": _NAMES, "formats": _FORMATS, "offsets": _OFFSETS, "itemsize": each})
+    layout = np.dtype({"names": _NAMES, "formats": _FORMATS, "offsets": _OFFSETS, "itemsize": detection_bytes})
     beams = np.frombuffer(content, layout, count, begin)
-    with np.errstate(invalid="ignore"):  # what is no number is found impossible later
+    with np.errstate(invalid="ignore"):  # NaN becomes impossible later
         travel, angle = beams["sample"].astype(float) / rate, beams["angle"].astype(float)
-    found = (beams["flags"] & _FOUND) != 0
-    return _fan(content, travel, angle, tilt, float("nan"), _quality(beams["quality"], found, travel))
+    detected = (beams["flags"] & _FOUND) != 0
+    return _fan(content, travel, angle, tilt, float("nan"), _quality(beams["quality"], detected, travel))
 
 
 def _bathymetry(content: bytes | memoryview, size: int) -> Fan | str:
     _, _, _, count, _, _, speed = _BATHYMETRY_HEAD.unpack_from(content, _FRAME)
     begin, angles = _FRAME + _BATHYMETRY_HEAD.size, size + _GEOMETRY_HEAD.size
     (extra,) = struct.unpack_from("<I", content, 12)
-    end = extra if _FRAME < extra < size else size - 4  # what is optional, or a checksum, stands behind the beams
+    end = extra if _FRAME < extra < size else size - 4  # optional data, or a checksum, follow the beams
     # older versions have a shorter header, so the length must be right to the byte
     if not 0 < count <= MOST_BEAMS or end - begin not in (9 * count, 17 * count) or angles + 8 * count > len(content):
         return f"says that it has {count} beams, which do not fit its {size} bytes"
@@ -82,9 +82,9 @@ def _fan(
     return Fan(_time(content), travel, angle, tilt, speed, quality, f"RESON SeaBat {device}")
 
 
-def _quality(tests: np.ndarray, found: np.ndarray, travel: np.ndarray) -> np.ndarray:
+def _quality(tests: np.ndarray, detected: np.ndarray, travel: np.ndarray) -> np.ndarray:
     quality = np.where((tests & _TESTS) == _TESTS, 0, REJECTED).astype(np.int8)
-    quality[~found | ~(travel > 0.0)] = IMPOSSIBLE
+    quality[~detected | ~(travel > 0.0)] = IMPOSSIBLE
     return quality
 
 

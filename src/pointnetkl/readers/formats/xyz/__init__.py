@@ -1,4 +1,4 @@
-"""Text of points without pings: x, y and z, or longitude, latitude and depth, in columns between any separators."""
+"""Text of points without pings: columns of x, y and z, or of longitude, latitude and depth, with any separators."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ from pointnetkl.workflow.errors import printable
 SUFFIXES = (".xyz", ".txt", ".csv", ".pts")
 
 _HEAD_BYTES = 1 << 16
-_ENOUGH = 100  # points, of which none is a seabed if they lie within a metre
+_ENOUGH = 100  # points; so many within one metre are no seabed
 
 
 class XyzError(SurveyError):
@@ -30,7 +30,7 @@ def begins(head: bytes) -> bool:
         return False
     try:
         return text_columns.find(head) is not None
-    except ValueError:  # columns of other names: of points, as far as one can tell
+    except ValueError:  # columns with unknown names may be points
         return True
 
 
@@ -62,8 +62,8 @@ def _columns(path: Path) -> Columns:
 
 
 def _blocks(path: Path, columns: Columns, points: Points) -> Iterator[Block]:
-    chosen = [columns.x, columns.y, columns.z]
-    lines = NumberLines(path, columns.first, columns.separator, columns.width, chosen, columns.decimal)
+    axes = [columns.x, columns.y, columns.z]
+    lines = NumberLines(path, columns.first, columns.separator, columns.width, axes, columns.decimal)
     first = True
     for numbers in lines:
         if first and len(numbers):
@@ -73,17 +73,17 @@ def _blocks(path: Path, columns: Columns, points: Points) -> Iterator[Block]:
         yield x, y, z, np.zeros(len(z), np.int8)
     points.skip("lines that are not numbers", lines.bad)
     if lines.bad:
-        points.problems.tell(f"{lines.bad} lines are not numbers, the first after byte {lines.first_bad}")
+        points.problems.add(f"{lines.bad} lines are not numbers, the first after byte {lines.first_bad}")
     if columns.declared not in (None, lines.read):
-        points.problems.tell(f"its first line says {columns.declared} points, it has {lines.read}")
+        points.problems.add(f"its first line says {columns.declared} points, it has {lines.read}")
     if not lines.read:
         raise XyzError(f"{path}: byte {columns.first}: has no line of {columns.width} numbers; it is no text of points")
 
 
 def _understand(points: Points, columns: Columns, numbers: np.ndarray) -> None:
-    """Settle by the first points what the file's head leaves open: which way z counts, and degrees without a name."""
+    """Decide by the first points whether z counts down, and whether columns without a name are degrees."""
     x, y, z = numbers[np.isfinite(numbers).all(axis=1)].T
-    if points.down and len(z) and np.median(z) < 0:  # no seabed is above the surface
+    if points.down and len(z) and np.median(z) < 0:  # a depth is not negative
         points.down = False
         points.datum = "its column is named depth but is negative, and was taken as height; its datum is not stated"
     elif points.down is not None:
@@ -93,7 +93,7 @@ def _understand(points: Points, columns: Columns, numbers: np.ndarray) -> None:
     small = len(x) >= _ENOUGH and max(np.ptp(x), np.ptp(y)) < 1.0 and np.abs(x).max() <= 360 and np.abs(y).max() <= 90
     if small and not columns.named and points.crs == projection.LOCAL:
         points.crs = projection.GEOGRAPHIC
-        points.problems.tell(
+        points.problems.add(
             "its columns have no names and its points lie within one unit: they were taken as longitude"
             " and latitude; name the columns x, y and z if they are metres"
         )

@@ -1,4 +1,4 @@
-"""How a text of points is written: its separator, its columns by name, and where its numbers begin."""
+"""The layout of a text of points: its separator, its columns by name, and the byte where its numbers begin."""
 
 import re
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)(e[-+]?\d+)?|[-+]?(nan|inf)", r
 _DECIMAL_COMMAS = re.compile(r"\s*[-+]?\d*,\d+(\s+[-+]?\d*,\d+)+\s*")
 _UNIT = re.compile(r"\s*(?:\[(.*?)\]|\((.*?)\))|[_ ]+(m|ft|feet|deg|degrees|metres?|meters?)\b", re.IGNORECASE)
 _COMMENT = re.compile(r"\s*(#|//|%|!)\s*")
-_SEARCHED = 100  # lines before the first of numbers
+_SEARCHED = 100  # most lines before the first line of numbers
 _WIDEST = 64  # columns of a text of points
 
 _EAST = ("x", "easting", "east", "e", "utmx", "xcoordinate", "footprintx", "pointx")
@@ -21,9 +21,9 @@ _FEET = {"ft", "feet", "foot", "us ft", "ftus", "us survey foot"}
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of a text are x, y and z, and what they hold."""
+    """The columns of x, y and z in a text, and their meaning."""
 
-    separator: str  # comma, semicolon, or a blank for any run of blanks and tabs
+    separator: str  # comma, semicolon, or a blank, which means any run of blanks and tabs
     decimal: str  # point or comma
     width: int  # columns of a line
     x: int
@@ -31,33 +31,33 @@ class Columns:
     z: int
     geographic: bool  # x and y are longitude and latitude, by their names
     named: bool
-    down: bool | None  # whether z counts down, by its name; None: its name does not tell
+    down: bool | None  # whether z counts down, by its name; None: unknown
     unit_m: float  # metres per unit of z
     first: int  # byte where the numbers begin
-    declared: int | None  # points, of a file that begins with their number
+    declared: int | None  # number of points, if the file begins with it
 
 
 def find(head: bytes) -> Columns | None:
     """Return the columns of a text by its first bytes, None if it has no line of three numbers or more.
 
     Raises:
-        ValueError: the columns have names, which are not those of points, or their unit is feet.
+        ValueError: the names of the columns are not those of points, or x and y are in feet.
     """
-    at, above, declared = (3 if head.startswith(b"\xef\xbb\xbf") else 0), list[str](), None
-    for raw in re.findall(rb"[^\r\n]*(?:\r\n|\r|\n|$)", head[at:])[:_SEARCHED]:
+    offset, above, declared = (3 if head.startswith(b"\xef\xbb\xbf") else 0), list[str](), None
+    for raw in re.findall(rb"[^\r\n]*(?:\r\n|\r|\n|$)", head[offset:])[:_SEARCHED]:
         line = raw.decode("utf-8", "replace").strip()
-        if found := _numbers(line):
-            return _columns(found, above, at, declared)
+        if layout := _numbers(line):
+            return _columns(layout, above, offset, declared)
         if line.isdigit() and not above:
             declared = int(line) if len(line) < 16 else None
         elif line:
             above.append(line)
-        at += len(raw)
+        offset += len(raw)
     return None
 
 
 def _numbers(line: str) -> tuple[str, str, int] | None:
-    """Return separator, decimal sign and how many columns a line of numbers has."""
+    """Return separator, decimal sign and number of columns of a line of numbers; None if it is none."""
     bare = line.replace('"', "")
     if _DECIMAL_COMMAS.fullmatch(bare) and len(bare.split()) > 2:
         return " ", ",", len(bare.split())
@@ -70,8 +70,8 @@ def _numbers(line: str) -> tuple[str, str, int] | None:
     return separator, "," if commas else ".", len(words)
 
 
-def _columns(found: tuple[str, str, int], above: list[str], first: int, declared: int | None) -> Columns:
-    separator, decimal, width = found
+def _columns(layout: tuple[str, str, int], above: list[str], first: int, declared: int | None) -> Columns:
+    separator, decimal, width = layout
     if width > _WIDEST or any(line.lower().startswith("ncols") for line in above):
         raise ValueError("is a grid in text; convert it to GeoTIFF, or to lines of x, y and z")
     named = [_named(_COMMENT.sub("", line, count=1), separator) for line in above]
@@ -79,7 +79,7 @@ def _columns(found: tuple[str, str, int], above: list[str], first: int, declared
         axes = _axes([name for name, _ in names])
         if axes is None and len(names) == width and not _COMMENT.match(line):
             raise ValueError(
-                f"its columns are {', '.join(n for n, _ in names)[:100]}; name those of the points x, y and z"
+                f"its columns are {', '.join(name for name, _ in names)[:100]}; name those of the points x, y and z"
             )
         if axes is not None:
             x, y, z, geographic, down = axes
@@ -96,7 +96,7 @@ def _named(line: str, separator: str) -> list[tuple[str, str]]:
     """Return the names of a line and their units, in lower case."""
     sign = separator if separator in line else "," if "," in line else None
     if sign is None or sign == " ":
-        # a unit behind a blank is no column of its own
+        # a unit after a blank is not a column
         words = line.split("\t") if "\t" in line else re.sub(r"\s+(\[.*?\]|\(.*?\))", r"\1", line).split()
     else:
         words = line.split(sign)
@@ -105,8 +105,8 @@ def _named(line: str, separator: str) -> list[tuple[str, str]]:
 
 def _name(word: str) -> tuple[str, str]:
     unit = _UNIT.search(word)
-    said = next((group for group in unit.groups() if group), "") if unit else ""
-    return re.sub(r"[\s_.-]+", "", _UNIT.sub("", word).lower()), said.strip().lower()
+    name_of_unit = next((group for group in unit.groups() if group), "") if unit else ""
+    return re.sub(r"[\s_.-]+", "", _UNIT.sub("", word).lower()), name_of_unit.strip().lower()
 
 
 def _axes(names: list[str]) -> tuple[int, int, int, bool, bool | None] | None:
