@@ -355,13 +355,13 @@ def test_what_is_kept_of_a_large_survey_is_bounded_and_even(monkeypatch: pytest.
 def test_a_map_has_no_holes_where_there_are_soundings():
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(0, 400, 20_000), rng.uniform(0, 100, 20_000), np.full(20_000, -30.0)])
-    covered = cells.of(points)
+    covered = cells.from_points(points)
     assert covered is not None
     assert np.isfinite(covered.depth_m).mean() > 0.95
     assert covered.area_m2 == pytest.approx(40_000, rel=0.06)
     np.testing.assert_allclose(covered.depth_m[np.isfinite(covered.depth_m)], 30)
     corridor = np.column_stack([points[:, 0], points[:, 0] + points[:, 1] / 50, points[:, 2]])
-    covered = cells.of(corridor)
+    covered = cells.from_points(corridor)
     assert covered is not None
     assert covered.area_m2 == pytest.approx(800, rel=0.5)  # of 160,000 that its box has
 

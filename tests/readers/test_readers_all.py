@@ -238,7 +238,7 @@ def test_of_many_places_of_damage_the_first_are_told_and_the_others_counted(tmp_
         content[place + 60] ^= 0x10
     recording = read(tmp_path / "small.all", bytes(content))
     assert recording.skipped == {"pings with a wrong checksum": 60}
-    assert (len(recording.problems), recording.untold) == (20, 40)
+    assert (len(recording.problems), recording.problems_omitted) == (20, 40)
 
 
 def test_a_file_without_pings_says_what_it_holds(tmp_path: Path):

@@ -288,7 +288,7 @@ def test_only_the_first_places_of_damage_are_told_and_the_others_counted(tmp_pat
     torn = [piece for number in range(50) for piece in (*pings(3), b"\xff" * 40)]
     recording = only(written(tmp_path / "small.gsf", *torn))
     assert len(recording.pings) == 150
-    assert (len(recording.problems), recording.untold) == (20, 30)
+    assert (len(recording.problems), recording.problems_omitted) == (20, 30)
 
 
 def test_mutated_files_end_in_a_sentence_or_in_finite_soundings(tmp_path: Path):

@@ -276,7 +276,7 @@ def test_pings_without_soundings_do_not_pile_up(tmp_path: Path, monkeypatch: pyt
 
 def test_no_more_than_twenty_damages_are_told(tmp_path: Path):
     recording = read(tmp_path, *itertools.chain(*[(ping(TIME_S + number), b"\0" * 30) for number in range(30)]))
-    assert (len(recording.problems), recording.untold) == (20, 10)
+    assert (len(recording.problems), recording.problems_omitted) == (20, 10)
     assert len(recording.pings) == 30
 
 

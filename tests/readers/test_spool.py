@@ -77,12 +77,12 @@ def test_of_all_damage_of_a_survey_twenty_places_are_told_and_the_others_counted
 def test_what_is_wrong_with_a_whole_file_is_told_before_the_damage_that_fills_the_report():
     problems = recording.Problems("a.all")
     for place in range(30):
-        problems.tell(f"byte {place} is damaged")
-    problems.tell_first("holds no position")
-    told = problems.taken()
-    assert told.sentences[:2] == ["a.all: holds no position", "a.all: byte 0 is damaged"]
-    assert told.sentences[19:] == ["a.all: byte 18 is damaged", "and 11 more"]
-    assert (problems.sentences, bool(problems)) == ([], False)
+        problems.add(f"byte {place} is damaged")
+    problems.add_first("holds no position")
+    summary = problems.drain().summary
+    assert summary[:2] == ["a.all: holds no position", "a.all: byte 0 is damaged"]
+    assert summary[19:] == ["a.all: byte 18 is damaged", "and 11 more"]
+    assert (problems.summary, bool(problems)) == ([], False)
 
 
 def test_nothing_is_left_beside_a_survey_that_was_read_or_refused(lines: Path, tmp_path: Path):

@@ -1,11 +1,13 @@
-"""A file's bytes are those of the file, however they are asked for, and a mark is found wherever it stands."""
+"""A window gives the bytes of its file, and candidates for records are found wherever they are."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pointnetkl.readers.formats.window import Window
+from pointnetkl.readers.formats import window as window_module
+from pointnetkl.readers.formats.window import Mark, Window, candidates
 
 
 @pytest.fixture
@@ -31,15 +33,17 @@ def test_more_than_the_file_has_is_not_made_room_for(content: tuple[Path, bytes]
         assert len(window.read(1 << 60, 8)) == 0
 
 
-def test_a_mark_is_found_across_the_edges_of_stretches(tmp_path: Path):
-    for at in range(0, 200, 7):
-        (tmp_path / "file").write_bytes(b"." * at + b"#MRZ" + b"." * 50)
+def test_a_candidate_is_found_once_wherever_the_stretches_are_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(window_module, "_SEARCHED", 16)
+    mark = Mark(re.compile(rb"#[A-Z]{3}"), lead=4, length=4, header=8)
+    for begin in range(4, 200, 7):
+        content = b"." * begin + b"#MRZ" + b"." * 9 + b"#SKM" + b"." * 50
+        (tmp_path / "file").write_bytes(content)
         with Window(tmp_path / "file", stretch=16) as window:
-            assert window.find(b"#MRZ", 0) == at
-            assert window.find(b"#MRZ", at) == at
-            assert window.find(b"#MRZ", at + 1) == -1
-            assert window.find(b"#MRZ", 0, at + 4) == at
-            assert window.find(b"#MRZ", 0, at + 3) == -1
+            places = [(begin - 4, b"#MRZ"), (begin + 9, b"#SKM")]
+            assert list(candidates(window, mark, 0, window.size)) == places
+            assert list(candidates(window, mark, begin - 3, window.size)) == places[1:]
+            assert list(candidates(window, mark, 0, begin)) == []
 
 
 def test_a_file_that_gets_shorter_is_told(tmp_path: Path):

@@ -73,7 +73,7 @@ def test_whether_numbers_are_depths_is_one_answer_for_all_that_read_a_grid(
     seabed = grid.read(path)
     assert (held.crs, seabed.crs) == ("EPSG:32632", "EPSG:32632")
     assert seabed(np.array([1081.0]), np.array([1891.0]))[0] == pytest.approx(-depth[54, 40], abs=1e-3)
-    found = grids.look(path)
+    found = grids.inspect(path)
     assert (found.facts.vertical, found.drawing.cells.depth_m[5, 40]) == (held.vertical, pytest.approx(depth[54, 40]))
 
 

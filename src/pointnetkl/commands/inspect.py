@@ -113,7 +113,7 @@ def _facts(file: Path, settings: Any, folder: Path | None, name: str) -> Any:
     from pointnetkl.inspection.facts import Facts
 
     try:
-        inspected = choice.look(file, settings)
+        inspected = choice.inspect(file, settings)
         if folder is None:
             return inspected.facts
         from pointnetkl.inspection import plots  # matplotlib takes a second to import

@@ -1,1 +1,1 @@
-"""What a raw file holds, before anything is computed from it: facts, their text, and two plots."""
+"""Facts of a raw file, as text and as JSON, and plots of it: what command `inspect` shows."""

@@ -1,13 +1,13 @@
-"""Soundings in square cells: a map of depth without holes, and how much ground it covers."""
+"""Soundings in square cells: a map of depth without holes, and the area that it covers."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-_FEWEST = 3.0  # soundings in a cell that has any, on average: fewer leave holes
-_AROUND = 5  # neighbours with soundings, of eight, that make an empty cell a hole
+_FEWEST = 3.0  # mean soundings in a cell with soundings: fewer leave holes
+_AROUND = 5  # neighbours with soundings, of eight, around an empty cell that is filled
 _MOST_CELLS = 900  # along the longer side
-_WIDER = 1.3
+_WIDER = 1.3  # factor from one cell size to the next that is tried
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Cells:
     """Mean depth in square cells, NaN where there is no sounding."""
 
     depth_m: np.ndarray  # (rows, columns), the southernmost row first
-    extent: tuple[float, float, float, float]  # west, east, south, north, as imshow's
+    extent: tuple[float, float, float, float]  # west, east, south, north, as in imshow
     size_m: float
 
     @property
@@ -24,10 +24,10 @@ class Cells:
         return float(np.isfinite(self.depth_m).sum() * self.size_m**2)
 
 
-def of(points: np.ndarray) -> Cells | None:
-    """Return points (n, 3), z up, in cells as small as leave few holes; None where they span no area.
+def from_points(points: np.ndarray) -> Cells | None:
+    """Return points (n, 3), z up, in the smallest cells that leave few holes; None if the points span no area.
 
-    A hole of one cell, where chance has put no point, gets the mean of those around it.
+    A hole of one cell, where there is no point by chance, gets the mean of its neighbours.
     """
     if len(points) < 3:
         return None
@@ -58,7 +58,7 @@ def _mended(depth: np.ndarray) -> np.ndarray:
     rows, columns = depth.shape
     padded = np.pad(depth, 1, constant_values=np.nan)
     shifted = [padded[i : i + rows, k : k + columns] for i in range(3) for k in range(3) if (i, k) != (1, 1)]
-    around = np.stack(shifted)
-    count = np.isfinite(around).sum(axis=0)
-    mean = np.divide(np.nansum(around, axis=0), count, out=np.full(depth.shape, np.nan), where=count >= _AROUND)
+    neighbours = np.stack(shifted)
+    count = np.isfinite(neighbours).sum(axis=0)
+    mean = np.divide(np.nansum(neighbours, axis=0), count, out=np.full(depth.shape, np.nan), where=count >= _AROUND)
     return np.where(np.isfinite(depth), depth, mean)

@@ -11,39 +11,38 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from pointnetkl.inspection import earth, swath_plots
-from pointnetkl.inspection.facts import Facts
-from pointnetkl.inspection.found import Drawing, Found
+from pointnetkl.inspection.facts import Drawing, Facts, Inspection
 from pointnetkl.readers import projection
 from pointnetkl.reporting.drawing import plots, sheet
 from pointnetkl.reporting.drawing.maps import DEPTHS
 from pointnetkl.workflow import artifacts
 
 _LEFT_IN, _TOP_IN, _BELOW_IN = 0.95, 0.6, 0.55  # room for northings, the title, eastings
-_BAR_IN, _BAR_LABEL_IN = 0.14, 0.7  # of the bar of colours, across, and for its numbers
+_BAR_IN, _BAR_LABEL_IN = 0.14, 0.7  # width of the colour bar, and of its numbers
 _HIGHEST_IN, _NARROWEST_IN = 7.5, 4.5
 _TICK_IN = 1.0  # at least, between numbers at an axis
 
 
-def save(found: Found, folder: Path, name: str) -> Facts:
-    """Save what can be drawn of a file, and return its facts with the names of the figures.
+def save(inspection: Inspection, folder: Path, name: str) -> Facts:
+    """Save the plots of a file, and return its facts with the paths of the plots.
 
     Raises:
         ArtifactError: a figure cannot be written.
     """
-    drawing = found.drawing
+    drawing = inspection.drawing
     if drawing is None:
-        return found.facts
-    title = _title(found.facts)
-    drawn = {f"{name}_map.png": seabed(drawing, title, found.facts.crs or "")}
+        return inspection.facts
+    title = _title(inspection.facts)
+    drawn = {f"{name}_map.png": seabed(drawing, title, inspection.facts.crs or "")}
     if drawing.swaths is not None and drawing.pings is not None and len(drawing.swaths):
         drawn[f"{name}_swath.png"] = swath_plots.swaths(drawing.swaths, drawing.pings, title)
     for file, figure in drawn.items():
         artifacts.write_bytes(folder / file, plots.png(figure))
-    return dataclasses.replace(found.facts, plots=[str(folder / file) for file in drawn])
+    return dataclasses.replace(inspection.facts, plots=[str(folder / file) for file in drawn])
 
 
 def seabed(drawing: Drawing, title: str, crs: str) -> Figure:
-    """Draw depths and track in metres of the CRS; the bar of colours is below a flat map, beside a high one."""
+    """Draw depths and track in metres of the CRS; the colour bar is below a wide map and beside a high one."""
     corners = sheet.limits(drawing.places, flattest=0.2, highest=4.0)
     flat = sheet.height(corners, 1.0) <= 1.0
     width = plots.WIDTH_IN - _LEFT_IN - 0.25 if flat else min(_HIGHEST_IN / sheet.height(corners, 1.0), 5.5)
@@ -68,10 +67,10 @@ def _depths(axes: Axes, drawing: Drawing) -> ScalarMappable | None:
         x, y, z = drawing.points.T
         return axes.scatter(x, y, c=-z, cmap=DEPTHS, s=8) if len(z) else None
     depth, extent = drawing.cells.depth_m, drawing.cells.extent
-    # a single wrong sounding would take all the colours
+    # a single wrong sounding would set the range of the colours
     low, high = np.nanquantile(depth, [0.01, 0.99])
-    how: dict[str, Any] = {"origin": "lower", "interpolation": "nearest", "aspect": "auto"}
-    return axes.imshow(depth, cmap=DEPTHS, vmin=low, vmax=high, extent=extent, **how)
+    style: dict[str, Any] = {"origin": "lower", "interpolation": "nearest", "aspect": "auto"}
+    return axes.imshow(depth, cmap=DEPTHS, vmin=low, vmax=high, extent=extent, **style)
 
 
 def _bar(axes: Axes, drawn: ScalarMappable, flat: bool) -> None:
@@ -91,8 +90,8 @@ def _track(axes: Axes, track: np.ndarray) -> None:
 
 
 def _coordinates(axes: Axes, crs: str, width: float, height: float) -> None:
-    where = "of an unknown place" if crs == projection.LOCAL else f"in {crs if len(crs) < 20 else earth.name(crs)}"
-    axes.set_xlabel(f"metres east {where}", fontsize=9)
+    place = "of an unknown place" if crs == projection.LOCAL else f"in {crs if len(crs) < 20 else earth.name(crs)}"
+    axes.set_xlabel(f"metres east {place}", fontsize=9)
     axes.set_ylabel("metres north", fontsize=9)
     for axis, room in ((axes.xaxis, width), (axes.yaxis, height)):
         axis.set_major_locator(MaxNLocator(max(2, min(8, int(room / _TICK_IN))), steps=[1, 2, 5, 10]))
@@ -101,11 +100,11 @@ def _coordinates(axes: Axes, crs: str, width: float, height: float) -> None:
 
 
 def _title(facts: Facts) -> str:
-    parts = [facts.format, facts.start and facts.start[:10], _counted(facts)]
+    parts = [facts.format, facts.start and facts.start[:10], _size(facts)]
     return f"{Path(facts.file).name}: {', '.join(part for part in parts if part)}"
 
 
-def _counted(facts: Facts) -> str | None:
+def _size(facts: Facts) -> str | None:
     if facts.kind == "navigation":
         return f"{facts.records:,} records"
     return f"{facts.valid:,} {'cells with a depth' if facts.kind == 'grid' else 'valid soundings'}"

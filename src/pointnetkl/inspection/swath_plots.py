@@ -1,4 +1,4 @@
-"""The swaths of a raw file: some of them in profile, and all as an image of depth by beam and ping."""
+"""Plots of the swaths of a raw file: profiles of some, and an image of depth by beam and ping."""
 
 import numpy as np
 import pandas as pd
@@ -12,14 +12,14 @@ from pointnetkl.reporting.drawing.maps import DEPTHS
 _LEFT_IN, _TOP_IN, _WIDTH_IN = 0.8, 0.62, 6.7
 _PROFILE_IN, _IMAGE_IN, _BETWEEN_IN = 2.7, 3.2, 0.95
 _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.RED, plots.PURPLE, plots.SKY, plots.GREY)
-_MOST_BEAMS = 4096  # rows of the image: beyond, numbers of beams are names and not places
+_MOST_BEAMS = 4096  # rows of the image; larger beam numbers are names and not places
 _ROOM = 1.1
 
 
 def swaths(soundings: pd.DataFrame, pings: pd.DataFrame, title: str) -> Figure:
     """Draw profiles of some pings, depth against distance across the track, and below them depth by beam and ping.
 
-    `soundings` are valid ones of some of the `pings` (survey.SOUNDINGS, survey.PINGS).
+    `soundings` are valid and belong to some of the `pings` (survey.SOUNDINGS, survey.PINGS).
     """
     figure = Figure((plots.WIDTH_IN, _TOP_IN + _PROFILE_IN + _BETWEEN_IN + _IMAGE_IN + 0.6))
     across = _across(soundings, pings)
@@ -36,37 +36,37 @@ def swaths(soundings: pd.DataFrame, pings: pd.DataFrame, title: str) -> Figure:
 
 
 def placed(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Return axes of this size, their upper left corner there, in inches from that of the figure."""
+    """Return axes of a size in inches, at a place in inches from the upper left corner of the figure."""
     wide, high = figure.get_size_inches()
     return figure.add_axes((left / wide, 1 - (top + height) / high, width / wide, height / high))
 
 
 def _across(soundings: pd.DataFrame, pings: pd.DataFrame) -> np.ndarray:
-    """Return how far to starboard of its ping each sounding is, metres."""
-    of = pings.iloc[soundings["ping"].to_numpy()]
-    yaw = of["yaw_rad"].to_numpy()
-    east, north = ((soundings[name].to_numpy() - of[name].to_numpy()) for name in ("x_m", "y_m"))
+    """Return the distance (n,) of soundings to starboard of their ping, metres."""
+    ping = pings.iloc[soundings["ping"].to_numpy()]
+    yaw = ping["yaw_rad"].to_numpy()
+    east, north = ((soundings[name].to_numpy() - ping[name].to_numpy()) for name in ("x_m", "y_m"))
     return np.asarray(east * np.sin(yaw) - north * np.cos(yaw))
 
 
 def _profiles(axes: Axes, soundings: pd.DataFrame, across: np.ndarray) -> None:
     numbers = soundings["ping"].unique()
-    chosen = numbers[np.unique(np.linspace(0, len(numbers) - 1, len(_COLOURS)).round().astype(int))]
+    selected = numbers[np.unique(np.linspace(0, len(numbers) - 1, len(_COLOURS)).round().astype(int))]
     depth = -soundings["z_m"].to_numpy()
-    shown = np.isin(soundings["ping"], chosen)
-    size = 2.0 if shown.sum() > 100 * len(chosen) else 4.0
-    for number, colour in zip(chosen.tolist(), _COLOURS, strict=False):
-        one = soundings["ping"].to_numpy() == number
-        axes.plot(across[one], depth[one], ".", color=colour, markersize=size, label=f"ping {number}")
+    shown = np.isin(soundings["ping"], selected)
+    size = 2.0 if shown.sum() > 100 * len(selected) else 4.0
+    for number, colour in zip(selected.tolist(), _COLOURS, strict=False):
+        rows = soundings["ping"].to_numpy() == number
+        axes.plot(across[rows], depth[rows], ".", color=colour, markersize=size, label=f"ping {number}")
     times = _limits(axes, across[shown], depth[shown])
     axes.set(xlabel="across the track (m), starboard positive", ylabel="depth (m)")
-    axes.set_title(f"profiles of {len(chosen)} pings, depth {times}", fontsize=9)
+    axes.set_title(f"profiles of {len(selected)} pings, depth {times}", fontsize=9)
     axes.grid(alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=sheet.TEXT_PT, frameon=False, markerscale=3)
 
 
 def _limits(axes: Axes, across: np.ndarray, depth: np.ndarray) -> str:
-    """Set the limits so that depths are stretched by a round number, and return the words for it."""
+    """Set the limits so that depths are stretched by a round number; return that number in words."""
     wide = _ROOM * max(float(np.ptp(across)), 1.0)
     high = _ROOM * max(float(np.ptp(depth)), 0.1)
     fits = (wide / _WIDTH_IN) / (high / _PROFILE_IN)

@@ -1,4 +1,4 @@
-"""The facts of a file as people read them: a block of aligned lines, what is not known left out."""
+"""The facts of a file as text: a block of aligned lines, without those that are unknown."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -15,11 +15,11 @@ _PURPOSE = {
     "grid": "a grid of depths: a seabed to simulate surveys over (section simulate of the parameters)",
     "navigation": "navigation without soundings: it may take the place of a survey's own",
 }
-_DAYS = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")  # as GPS counts them
+_DAYS = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")  # in the order of the GPS week
 
 
 def block(facts: Facts) -> str:
-    """Return what is known of a file, the file's name first."""
+    """Return the known facts of a file, under its name."""
     rows = [
         ("format", facts.format),
         ("sensor", facts.sensor),
@@ -43,14 +43,15 @@ def block(facts: Facts) -> str:
     return "\n".join([facts.file, *(_row(label, words) for label, words in rows if words)])
 
 
-def total(many: Sequence[Facts]) -> str:
-    """Return a line on several files together."""
-    refused = sum(one.error is not None for one in many)
+def total(files: Sequence[Facts]) -> str:
+    """Return a line of totals over several files."""
+    refused = sum(facts.error is not None for facts in files)
     pings, soundings, valid = (
-        sum(getattr(one, name) or 0 for one in many if one.kind != "grid") for name in ("pings", "soundings", "valid")
+        sum(getattr(facts, name) or 0 for facts in files if facts.kind != "grid")
+        for name in ("pings", "soundings", "valid")
     )
-    told = f"{_count(len(many), 'file')}, {_count(pings, 'ping')}, {_count(soundings, 'sounding')}, {valid:,} valid"
-    return f"{told}; {refused} of the files cannot be used" if refused else told
+    counts = f"{_count(len(files), 'file')}, {_count(pings, 'ping')}, {_count(soundings, 'sounding')}, {valid:,} valid"
+    return f"{counts}; {refused} of the files cannot be used" if refused else counts
 
 
 def _row(label: str, words: str) -> str:
@@ -70,16 +71,16 @@ def _time(facts: Facts) -> str | None:
 
 
 def _clock(second: float) -> str:
-    minutes, left = divmod(int(second) % 86_400, 60)
-    return f"{minutes // 60:02d}:{minutes % 60:02d}:{left:02d}"
+    minutes, seconds = divmod(int(second) % 86_400, 60)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}"
 
 
 def _duration(seconds: float) -> str:
     if seconds < 60:
         return f"{seconds:.3g} s"
     hours, rest = divmod(round(seconds), 3600)
-    minutes, left = divmod(rest, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {left:02d} s"
+    minutes, rest_s = divmod(rest, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest_s:02d} s"
 
 
 def _pings(facts: Facts) -> str | None:
@@ -102,8 +103,8 @@ def _soundings(facts: Facts) -> str | None:
     if facts.kind == "grid":
         size = f" of {facts.cell_m:g} m" if facts.cell_m else ""
         return f"{facts.soundings:,} cells{size}, {_share(facts)} with a depth"
-    why = f"; {_counts(facts.flagged)}" if facts.flagged else ""
-    return f"{facts.soundings:,}, {_share(facts)} valid{why}" if facts.soundings else "0"
+    flags = f"; {_counts(facts.flagged)}" if facts.flagged else ""
+    return f"{facts.soundings:,}, {_share(facts)} valid{flags}" if facts.soundings else "0"
 
 
 def _share(facts: Facts) -> str:
