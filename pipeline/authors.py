@@ -1,6 +1,6 @@
-"""Train PointNetKL on the paper's own data and test it there: Tables I and II from the arrays that its authors publish.
+"""Train and test PointNetKL on the paper's own data: Tables I and II from the arrays that its authors publish.
 
-It is no stage of dvc.yaml, because not everyone has the arrays; its parameters are in authors.yaml.
+This script is not a stage of dvc.yaml, because not everyone has the arrays. Its parameters are in authors.yaml.
 """
 
 import argparse
@@ -10,9 +10,9 @@ from pathlib import Path
 
 from pointnetkl import training
 from pointnetkl.authors import consolidated
-from pointnetkl.authors import tables as consolidated_tables
+from pointnetkl.authors import tables as authors_tables
 from pointnetkl.authors.consolidated import Consolidated
-from pointnetkl.authors.tables import Judged
+from pointnetkl.authors.tables import Predictions
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.samples import Samples
@@ -25,40 +25,52 @@ _CHECKPOINT_S = 60.0
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read all files, train, test, write everything."""
-    kind = parameters.read(arguments.params, "models.pointnetkl.network", network.Settings)
-    chosen = parameters.read(arguments.params, "models.pointnetkl.train", training.CloudSettings)
-    judging = {
-        name: parameters.read(arguments.params, f"report.{name}", of)
-        for name, of in (("kl_floor_m2", float), ("block_submaps", int), ("seed", int))
+    """Read all files, train, test, and write tables and model."""
+    network_settings = parameters.read(arguments.params, "models.pointnetkl.network", network.Settings)
+    training_settings = parameters.read(arguments.params, "models.pointnetkl.train", training.CloudSettings)
+    report_settings = {
+        name: parameters.read(arguments.params, f"report.{name}", value_type)
+        for name, value_type in (("kl_floor_m2", float), ("block_submaps", int), ("seed", int))
     }
     files = read([*arguments.train, *arguments.test])
-    learned, tests = ({path.stem: files[path.stem] for path in paths} for paths in (arguments.train, arguments.test))
-    check_apart(learned, tests)
-    sets = dataset.split(consolidated.samples(learned), chosen.validation_share, chosen.validation_blocks, chosen.seed)
+    training_files, test_files = (
+        {path.stem: files[path.stem] for path in paths} for paths in (arguments.train, arguments.test)
+    )
+    check_unseen(training_files, test_files)
+    sets = dataset.split(
+        consolidated.samples(training_files),
+        training_settings.validation_share,
+        training_settings.validation_blocks,
+        training_settings.seed,
+    )
     metadata = {
-        "surveys": list(learned),
-        "tests": list(tests),
+        "surveys": list(training_files),
+        "tests": list(test_files),
         "sha256": {path.stem: digest(path) for path in (*arguments.train, *arguments.test)},
-        "models": {"pointnetkl": {"network": parameters.as_metadata(kind), "train": parameters.as_metadata(chosen)}},
-        "report": judging,
+        "models": {
+            "pointnetkl": {
+                "network": parameters.as_metadata(network_settings),
+                "train": parameters.as_metadata(training_settings),
+            }
+        },
+        "report": report_settings,
     }
 
-    kept = checkpoint.Checkpoint(arguments.out / "checkpoints", checkpoint.name(metadata, sets), _CHECKPOINT_S)
-    model, outcome = train(kind, chosen, sets, kept)
-    table_2 = consolidated_tables.table_2(judge(model, sets, tests), **judging)
-    write_tables(arguments.out, {"table_1": consolidated_tables.table_1(files), "table_2": table_2})
+    progress = checkpoint.Checkpoint(arguments.out / "checkpoints", checkpoint.name(metadata, sets), _CHECKPOINT_S)
+    model, outcome = train(network_settings, training_settings, sets, progress)
+    table_2 = authors_tables.table_2(predict(model, sets, test_files), **report_settings)
+    write_tables(arguments.out, {"table_1": authors_tables.table_1(files), "table_2": table_2})
     artifacts.write_bytes(arguments.out / "loss.csv", outcome.history.to_csv(index=False, float_format="%.6g").encode())
-    made_by = {**metadata, "best_step": outcome.best_step, "steps": outcome.steps}
-    stored = model_file.to_bytes("pointnetkl", model, consolidated.VOXEL, made_by)
-    artifacts.write_bytes(arguments.out / "pointnetkl.pt", stored)
-    artifacts.write_json(arguments.out / "parameters.json", made_by)
-    kept.discard()
+    provenance = {**metadata, "best_step": outcome.best_step, "steps": outcome.steps}
+    content = model_file.to_bytes("pointnetkl", model, consolidated.VOXEL, provenance)
+    artifacts.write_bytes(arguments.out / "pointnetkl.pt", content)
+    artifacts.write_json(arguments.out / "parameters.json", provenance)
+    progress.discard()
     print(text_table.markdown(table_2))
 
 
 def read(paths: Sequence[Path]) -> dict[str, Consolidated]:
-    """Return files by their stems, and say of each what it is and where it differs from the paper."""
+    """Return files by their stems; print the survey of each, and a warning where its prior differs from the paper's."""
     files: dict[str, Consolidated] = {}
     for path in paths:
         if path.stem in files:
@@ -70,35 +82,40 @@ def read(paths: Sequence[Path]) -> dict[str, Consolidated]:
     return files
 
 
-def check_apart(learned: Mapping[str, Consolidated], tests: Mapping[str, Consolidated]) -> None:
-    """Refuse a test submap that is trained on."""
-    for test, file in tests.items():
-        for name, trained in learned.items():
-            consolidated.check_unseen(file, trained, (test, name))
+def check_unseen(training_files: Mapping[str, Consolidated], test_files: Mapping[str, Consolidated]) -> None:
+    """Refuse a test submap that is also a training submap."""
+    for test_name, test_file in test_files.items():
+        for training_name, training_file in training_files.items():
+            consolidated.check_unseen(test_file, training_file, (test_name, training_name))
 
 
 def train(
-    kind: network.Settings,
-    chosen: training.CloudSettings,
+    network_settings: network.Settings,
+    training_settings: training.CloudSettings,
     sets: tuple[Samples, Samples],
-    kept: checkpoint.Checkpoint,
+    progress: checkpoint.Checkpoint,
 ) -> tuple[network.PointNetKL, training.Outcome]:
-    """Train as stage train does; killed and started again it goes on from the last checkpoint."""
-    where = device.choose(chosen.device)
-    device.prepare(chosen.seed, chosen.threads, where)
-    model = network.PointNetKL(kind).to(where)
+    """Train as stage `train` does; after an interruption, training continues from the last checkpoint."""
+    torch_device = device.choose(training_settings.device)
+    device.prepare(training_settings.seed, training_settings.threads, torch_device)
+    model = network.PointNetKL(network_settings).to(torch_device)
     model.start(sets[0])
-    outcome = training.train(model, *sets, chosen, kept)
-    training.finish(model, sets[0], chosen)
+    outcome = training.train(model, *sets, training_settings, progress)
+    training.finish(model, sets[0], training_settings)
     return model, outcome
 
 
-def judge(model: network.PointNetKL, sets: Sequence[Samples], tests: Mapping[str, Consolidated]) -> dict[str, Judged]:
-    """Return labels and predictions of whole clouds: training, validation, then each test file."""
-    every = {"training": sets[0], "validation": sets[1]}
-    every |= {name: consolidated.samples({name: file}) for name, file in tests.items()}
+def predict(
+    model: network.PointNetKL, sets: Sequence[Samples], test_files: Mapping[str, Consolidated]
+) -> dict[str, Predictions]:
+    """Return labels and predictions for whole clouds: those of training, of validation, and of each test file."""
+    samples_by_name = {"training": sets[0], "validation": sets[1]}
+    samples_by_name |= {name: consolidated.samples({name: file}) for name, file in test_files.items()}
     constant = sets[0].label.mean(axis=0)
-    return {name: Judged(each.label, training.predict(model, each), constant) for name, each in every.items()}
+    return {
+        name: Predictions(samples.label, training.predict(model, samples), constant)
+        for name, samples in samples_by_name.items()
+    }
 
 
 def write_tables(folder: Path, tables: Mapping[str, Sequence[Block]]) -> None:

@@ -14,7 +14,7 @@ import yaml
 import authors_arrays
 from pointnetkl import training
 from pointnetkl.authors import consolidated
-from pointnetkl.authors import tables as consolidated_tables
+from pointnetkl.authors import tables as authors_tables
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.workflow import parameters
@@ -122,8 +122,8 @@ def test_the_network_of_the_authors_data_is_that_of_the_pipeline():
 
 def test_a_perfect_answer_has_no_divergence_and_the_best_constant_is_the_mean():
     label = np.array([row[2] for row in authors_arrays.rows(8)])
-    judged = consolidated_tables.Judged(label, label, label.mean(axis=0))
-    frame = consolidated_tables.table_2({"baltic": judged, "borno_slam": judged}, 0.01, 2, 0)[0].frame
+    predictions = authors_tables.Predictions(label, label, label.mean(axis=0))
+    frame = authors_tables.table_2({"baltic": predictions, "borno_slam": predictions}, 0.01, 2, 0)[0].frame
     assert frame["mean"].tolist() == pytest.approx([0, 0], abs=1e-9)
     assert frame["constant"].tolist() == frame["constant_train"].tolist()
     assert frame["constant"][0] > 0.01

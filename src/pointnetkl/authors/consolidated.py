@@ -1,9 +1,8 @@
 """The arrays that the paper's authors publish (`data/consolidated/*.npy`): submaps and labels of their own surveys.
 
-A row is a submap: its points, zero-mean, scaled into the unit sphere and then voxelised; the covariance that its
-registrations started with (prior) and the one they ended with (posterior, the label), m^2, both in the frame of the
-authors' submaps, which is that of the points but for scale; rho, the sphere's radius in metres; the names of the two
-files that it was made from. Rows follow the track, one folder of files after another.
+A row is a submap: its points, zero-mean, scaled into the unit sphere and then voxelised; the covariances of its
+registrations' starts (prior) and of their results (posterior, the label), m^2, both in the frame of the authors' submaps, which is that of the points without their scale; rho, the sphere's radius in metres; and the names of the two
+source files. Rows follow the track, one folder of files after another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,8 +18,8 @@ from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
 from pointnetkl.workflow.errors import PointNetKLError
 
-# What the authors' files are in Tables I and II. Of a test survey they have two: `slam` with the submaps that they
-# discarded, `val` without; the paper does not say which one Table II is of.
+# Surveys of the authors' files in Tables I and II. A test survey has two files: `slam` with the submaps that they
+# discarded, `val` without them. The paper does not say which one Table II is for.
 SURVEYS = {
     "antarctica": "antarctica_7",
     "antarctica_slam": "thwaites_11",
@@ -32,25 +31,25 @@ SURVEYS = {
     "shetland": "shetland",
 }
 PRIOR_M2 = 9.0  # a of Sigma_sample = a I (section V-A of the paper)
-VOXEL = 0.05  # of the authors' script; the paper says 0.01
+VOXEL = 0.05  # as in the authors' script; the paper says 0.01
 
 _COLUMNS = 6
-_LARGEST_M = 1e5  # no submap is as large
+_LARGEST_M = 1e5  # no submap is so large
 _SLACK = 1e-3  # of a norm on the unit sphere: rounding
-_FARTHEST = 0.5  # a voxel's mean lies farther out than this, for the farthest point lies at 1
-_ROUNDING = 1e-5  # of the texts of some digits that the covariances came from: their halves may differ by it
-_PRIOR_SLACK = 0.1  # of its variance: what a few hundred registrations sample
+_FARTHEST = 0.5  # least distance of the farthest voxel mean, because the farthest point is at 1
+_ROUNDING = 1e-5  # relative asymmetry of covariances, which were stored as texts of a few digits
+_PRIOR_SLACK = 0.1  # relative error of a prior's variance from a few hundred samples
 
 
 class ConsolidatedError(PointNetKLError):
-    """A row of the authors' arrays is not one, or files do not go together."""
+    """A row of the authors' arrays is not a submap, or two files share a submap."""
 
 
 @dataclass(frozen=True)
 class Consolidated:
-    """The submaps of one file, in its order: equal indices are one submap."""
+    """The submaps of one file in its order; equal indices are of one submap."""
 
-    clouds: voxel.Clouds  # their numbers are those of the rows
+    clouds: voxel.Clouds  # numbered by row
     label: np.ndarray  # (k, 2, 2) m^2
     prior: np.ndarray  # (k, 2, 2) m^2
     files: list[tuple[str, str]]  # of its points, and of its covariances
@@ -60,20 +59,20 @@ class Consolidated:
         return len(self.clouds)
 
     def prior_note(self) -> str:
-        """Return a sentence where a prior is not the paper's 9 I m^2, and nothing where all of them are."""
-        away = np.abs(self.prior - PRIOR_M2 * np.eye(2)).max(axis=(1, 2))
-        if not (unlike := int(np.sum(away > _PRIOR_SLACK * PRIOR_M2))):
+        """Return a sentence if a prior is not the paper's 9 I m^2, else an empty text."""
+        deviation = np.abs(self.prior - PRIOR_M2 * np.eye(2)).max(axis=(1, 2))
+        if not (unlike := int(np.sum(deviation > _PRIOR_SLACK * PRIOR_M2))):
             return ""
-        worst = self.prior[int(away.argmax())].tolist()
+        worst = self.prior[int(deviation.argmax())].tolist()
         return f"{unlike} of {len(self)} priors are not the paper's {PRIOR_M2:g} I m^2, the farthest is {worst}"
 
 
 def read(path: Path) -> Consolidated:
-    """Read a file of the authors', every row checked; nothing in it is executed.
+    """Read one of the authors' files and check every row; nothing in the file is executed.
 
     Raises:
-        ObjectArrayError: the file is missing, damaged or no array of rows.
-        ConsolidatedError: a row is not of the form above.
+        ObjectArrayError: the file is missing or damaged, or is no array of rows.
+        ConsolidatedError: a row does not have the form that the module describes.
         CovarianceError: a prior or a label is not a covariance.
     """
     clouds, labels, priors, files = [], [], [], []
@@ -82,7 +81,7 @@ def read(path: Path) -> Consolidated:
         origin = f"{path}, row {number}"
         points, prior, label, rho, *names = row
         clouds.append(voxel.Canonical(_points(points, origin), _radius(rho, origin)))
-        # rows may share an array, which is stored once: copies of it could take any memory
+        # rows may share an array that is stored once, and copies of it could take any memory
         if (spent := spent + points.nbytes) > path.stat().st_size:
             raise ConsolidatedError(f"{origin}: its points were those of rows before; take the file that was published")
         priors.append(_covariance(prior, f"{origin}, prior"))
@@ -93,34 +92,34 @@ def read(path: Path) -> Consolidated:
     return Consolidated(voxel.Clouds.of(range(len(clouds)), clouds), np.stack(labels), np.stack(priors), files)
 
 
-def samples(every: Mapping[str, Consolidated]) -> Samples:
-    """Return the submaps of all files as the network learns them; each file is a survey, with its key for a name."""
+def samples(files: Mapping[str, Consolidated]) -> Samples:
+    """Return the submaps of all files as samples for the network; each key is the name of a survey."""
     return Samples(
-        np.repeat(list(every), [len(each) for each in every.values()]),
-        np.concatenate([each.clouds.submap for each in every.values()]),
-        [each.clouds.cloud(i).points for each in every.values() for i in range(len(each))],
-        np.concatenate([each.clouds.radius for each in every.values()]),
-        np.concatenate([each.label for each in every.values()]),
+        np.repeat(list(files), [len(file) for file in files.values()]),
+        np.concatenate([file.clouds.submap for file in files.values()]),
+        [file.clouds.cloud(i).points for file in files.values() for i in range(len(file))],
+        np.concatenate([file.clouds.radius for file in files.values()]),
+        np.concatenate([file.label for file in files.values()]),
     )
 
 
 def check_unseen(test: Consolidated, training: Consolidated, names: Sequence[object]) -> None:
-    """Refuse, naming both files, to test on a submap that is trained on: one of the same radius and label.
+    """Refuse to test on a training submap, which is one with the same radius and label; `names` are of both files.
 
     Raises:
-        ConsolidatedError: there is one.
+        ConsolidatedError: there is such a submap.
     """
-    known = {fingerprint: row for row, fingerprint in enumerate(_fingerprints(training))}
+    training_rows = {fingerprint: row for row, fingerprint in enumerate(_fingerprints(training))}
     for number, fingerprint in enumerate(_fingerprints(test)):
-        if fingerprint in known:
+        if fingerprint in training_rows:
             raise ConsolidatedError(
-                f"{names[0]}, row {number}: is row {known[fingerprint]} of {names[1]}, which is trained on;"
+                f"{names[0]}, row {number}: is row {training_rows[fingerprint]} of {names[1]}, which is trained on;"
                 " test on other submaps"
             )
 
 
-def _fingerprints(every: Consolidated) -> list[tuple[float, bytes]]:
-    return [(float(r), q.tobytes()) for r, q in zip(every.clouds.radius, every.label, strict=True)]
+def _fingerprints(file: Consolidated) -> list[tuple[float, bytes]]:
+    return [(float(radius), q.tobytes()) for radius, q in zip(file.clouds.radius, file.label, strict=True)]
 
 
 def _points(points: Any, origin: str) -> np.ndarray:
@@ -138,12 +137,12 @@ def _points(points: Any, origin: str) -> np.ndarray:
 def _covariance(q: Any, origin: str) -> np.ndarray:
     if not _is_real(q) or q.shape != (2, 2):
         raise ConsolidatedError(f"{origin}: is {_form(q)}, must be numbers of shape (2, 2)")
-    whole = q.astype(np.float64)
-    if not np.abs(whole - whole.T).max() > _ROUNDING * np.abs(whole).max():  # also where it is NaN
-        whole = (whole + whole.T) / 2
-    if (largest := float(np.abs(whole).max())) > _LARGEST_M**2:
+    covariance = q.astype(np.float64)
+    if not np.abs(covariance - covariance.T).max() > _ROUNDING * np.abs(covariance).max():  # also where it is NaN
+        covariance = (covariance + covariance.T) / 2
+    if (largest := float(np.abs(covariance).max())) > _LARGEST_M**2:
         raise ConsolidatedError(f"{origin}: has an entry of {largest:.3g} m^2, which no registration has")
-    return gaussian.check(whole, origin)
+    return gaussian.check(covariance, origin)
 
 
 def _radius(rho: Any, origin: str) -> float:
@@ -163,8 +162,8 @@ def _is_real(array: Any) -> bool:
     return isinstance(array, np.ndarray) and array.dtype.kind in "fiu"
 
 
-def _form(value: Any) -> str:
-    """Return what a cell is, in a few words: to print what a file made up can take all memory."""
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype} of shape {value.shape}"
-    return f"{value:g}" if type(value) is float else f"of type {type(value).__name__}"
+def _form(cell: Any) -> str:
+    """Return a cell's type in a few words, because the text of a hostile cell can take all memory."""
+    if isinstance(cell, np.ndarray):
+        return f"{cell.dtype} of shape {cell.shape}"
+    return f"{cell:g}" if type(cell) is float else f"of type {type(cell).__name__}"

@@ -1,7 +1,7 @@
-"""Object arrays in .npy files, which are pickles: read without running anything that the file names.
+"""Object arrays in .npy files, which are pickles: read without executing anything in the file.
 
-What comes back are numbers, texts, None, lists, tuples and arrays of plain numbers. What a file takes for NumPy's own
-functions are stand-ins: the real ones trust a pickle, so that an invented dtype or shape makes them allocate or write
+The results are numbers, texts, None, lists, tuples and arrays of plain numbers. Stand-ins replace the NumPy functions
+that a pickle names: the real ones trust the pickle, so that an invented dtype or shape makes them allocate or write
 where they must not.
 """
 
@@ -22,8 +22,8 @@ from pointnetkl.workflow.errors import PointNetKLError
 _MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 1024  # bytes; that of an object array has 118
 
-# All that np.save needs for such arrays, in any of its versions. Sets and dicts are not among them, because hashing a
-# deep tuple overflows the stack.
+# All that any version of np.save needs for such arrays. Sets and dicts are excluded, because hashing a deep tuple
+# overflows the stack.
 _OPCODES = re.compile(
     "PROTO|FRAME|STOP|MARK|POP|POP_MARK|(STACK_)?GLOBAL|REDUCE|BUILD|(LONG_)?BIN(PUT|GET)|MEMOIZE"
     "|NONE|NEW(TRUE|FALSE)|BININT[12]?|LONG1|BINFLOAT|EMPTY_(LIST|TUPLE)|APPENDS?|TUPLE[123]?"
@@ -34,23 +34,23 @@ _OBJECTS = frozenset({"O", "O8"})
 
 
 class ObjectArrayError(PointNetKLError):
-    """A file is no object array, is damaged, or holds what is not read."""
+    """A file is no object array, is damaged, or contains something that is not read."""
 
 
 class _RefusedError(Exception):
-    """What a file asks for is not done; ends as an ObjectArrayError."""
+    """A file asks for something that is refused; becomes an ObjectArrayError."""
 
 
 def rows(path: Path, columns: int) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of an object array of shape (n, columns), or (n,) with a tuple or a list for a row.
+    """Yield the rows of an object array of shape (n, columns), or (n,) with a tuple or a list as a row.
 
-    Cells that are arrays are views of what was read, of shape and type as stored; NumPy's scalars come as numbers.
+    Cells that are arrays are views of the bytes read, with the stored shape and type; NumPy's scalars become numbers.
 
     Raises:
         ObjectArrayError: the file is missing or damaged, is another array, or names anything but NumPy's array types.
     """
     try:
-        # mapped, because its read(n) of an absurd n allocates nothing
+        # mapped, because read(n) with an absurd n then allocates nothing
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             yield from _rows(path, content, columns)
     except OSError as error:
@@ -69,13 +69,13 @@ def _rows(path: Path, content: mmap.mmap, columns: int) -> Iterator[tuple[Any, .
         yield from _cut(array, columns)
     except _RefusedError as error:
         raise ObjectArrayError(f"{path}: {error}; copy it again from where it was published") from error
-    except Exception as error:  # ast, pickle, pickletools and NumPy each fail in their own ways
+    except Exception as error:  # ast, pickle, pickletools and NumPy raise many errors on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise ObjectArrayError(f"{path}: is damaged near byte {content.tell()} ({reason}); copy it again") from error
 
 
 def _header(content: mmap.mmap) -> tuple[int, ...]:
-    """Return the shape that the file's head declares, and leave the file where the pickle begins."""
+    """Return the shape in the file's header; the file's position is then at the pickle."""
     head = content.read(8)
     if head[:6] != _MAGIC or head[6:] not in (b"\1\0", b"\2\0", b"\3\0"):
         raise _RefusedError(f"is no .npy file of version 1 to 3, it begins with {head!r}")
@@ -89,7 +89,7 @@ def _header(content: mmap.mmap) -> tuple[int, ...]:
 
 
 def _check_opcodes(content: mmap.mmap) -> None:
-    """Refuse, before anything is built, what no array needs and what allocates more than the file holds."""
+    """Refuse opcodes that no array needs or that allocate more than the file's size, before anything is built."""
     begin, size = content.tell(), len(content)
     for opcode, argument, place in pickletools.genops(cast(IO[bytes], content)):
         if not _OPCODES.fullmatch(opcode.name):
@@ -106,7 +106,7 @@ class _Dtype:
     """Stands in for numpy.dtype: numbers of a fixed size, or objects."""
 
     def __init__(self, code: str, *_: object) -> None:
-        # its type first: to hash or print what a file made up can take all stack or memory
+        # the type is checked first: to hash or print a hostile value can take all stack or memory
         if type(code) is not str or code not in _NUMBERS | _OBJECTS:
             raise _RefusedError("has an array that is neither of real numbers nor of objects")
         self.code, self.order = code, "="
@@ -118,14 +118,14 @@ class _Dtype:
         self.order = order
 
     def numbers(self) -> np.dtype[Any]:
-        """Return the type, which is not objects."""
+        """Return the type, which must be one of numbers."""
         if self.code in _OBJECTS:
             raise _RefusedError("has an array of objects within another")
         return np.dtype(self.order + self.code)
 
 
 class _Array:
-    """Stands in for numpy.ndarray: what it holds is looked at when it is known to be a cell."""
+    """Stands in for numpy.ndarray: its content is checked when it is read as a cell."""
 
     shape: tuple[int, ...]
 
@@ -139,17 +139,17 @@ class _Array:
         return flat.reshape(self.shape[::-1]).T if self.fortran else flat.reshape(self.shape)
 
     def objects(self) -> np.ndarray:
-        """Return the array of its cells as they were read."""
+        """Return the array of objects, with its cells as they were read."""
         if self.dtype.code not in _OBJECTS or len(self.content) != math.prod(self.shape):
             raise _RefusedError(f"its {len(self.content)} cells do not make an array of objects of shape {self.shape}")
         flat = np.empty(len(self.content), object)
-        for i, cell in enumerate(self.content):  # one by one: NumPy would look into cells that are sequences
+        for i, cell in enumerate(self.content):  # one by one, because NumPy would unpack cells that are sequences
             flat[i] = cell
-        return flat.reshape(self.shape)  # in Fortran's order too: NumPy lists objects row by row
+        return flat.reshape(self.shape)  # also in Fortran order, because NumPy lists objects row by row
 
 
 def _reconstruct(kind: object, *_: object) -> _Array:
-    """Stand in for NumPy's function of this name; the shape it is given is never the array's."""
+    """Stand in for NumPy's function of this name; its shape argument is never that of the array."""
     if kind is not _Array:
         raise _RefusedError("has an array of a kind of its own, must be numpy.ndarray")
     return _Array()
@@ -172,7 +172,7 @@ _STAND_INS = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows the stand-ins and nothing else."""
+    """Finds the stand-ins and nothing else."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _STAND_INS:
