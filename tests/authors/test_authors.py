@@ -117,7 +117,7 @@ def test_the_network_of_the_authors_data_is_that_of_the_pipeline():
     assert parameters.read(own, f"{section}.network", network.Settings) == parameters.read(
         pipeline, f"{section}.network", network.Settings
     )
-    assert parameters.read(own, f"{section}.train", training.Settings).batch == 500
+    assert parameters.read(own, f"{section}.train", training.CloudSettings).batch == 500
 
 
 def test_a_perfect_answer_has_no_divergence_and_the_best_constant_is_the_mean():

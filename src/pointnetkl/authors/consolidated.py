@@ -1,7 +1,8 @@
 """The arrays that the paper's authors publish (`data/consolidated/*.npy`): submaps and labels of their own surveys.
 
 A row is a submap: its points, zero-mean, scaled into the unit sphere and then voxelised; the covariances of its
-registrations' starts (prior) and of their results (posterior, the label), m^2, both in the frame of the authors' submaps, which is that of the points without their scale; rho, the sphere's radius in metres; and the names of the two
+registrations' starts (prior) and of their results (posterior, the label), m^2, both in the frame of the authors'
+submaps, which is that of the points without their scale; rho, the sphere's radius in metres; and the names of the two
 source files. Rows follow the track, one folder of files after another.
 """
 

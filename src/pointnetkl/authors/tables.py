@@ -24,7 +24,7 @@ class Predictions:
 
 
 def table_1(files: Mapping[str, Consolidated]) -> list[Block]:
-    """Return Table I of files by their stems, sigma_z pooled over all points, and a table of their priors and labels."""
+    """Return Table I of files by their stems, sigma_z pooled over all points, and a table of priors and labels."""
     columns = ("file", "survey", "submaps", "paper_submaps", "points_mean", "rho_mean_m")
     sigmas = ("sigma_z", "paper_sigma_z", "ratio_sigma_z")
     return [
