@@ -15,8 +15,8 @@ from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
 from pointnetkl.workflow.study import MOST_RUNS
 
-# Runs between two looks at the relative error. Few look Gaussian before a second basin shows; 100 meet one of 5 % of
-# the runs in 99.4 of 100 labels.
+# Runs between two checks of the relative error. Fewer may look Gaussian before a second basin shows; 100 reach a basin
+# of 5 % of the runs in 99.4 of 100 labels.
 _BATCH = 100
 
 
@@ -33,21 +33,21 @@ class Settings:
     """
 
     seed: int
-    copy: str  # same: the very points of the submap (the paper); split: its two halves, from alternate pings
+    copy: str  # same: the submap itself (the paper); split: source and target are its halves, from alternate pings
     prior_variance_m2: float  # a of Sigma_sample = a I
     noise_sigma_m: float  # of each coordinate of the copy
     held_out_runs: int
-    engine: str = "cpu"  # what registers: cpu or cuda
-    target_relative_error: float | None = None  # of a label whose runs may end early; None: all are made
-    prior_yaw_sigma_rad: float = 0.03  # of the yaw that a registration starts with, where it finds yaw
+    engine: str = "cpu"  # cpu or cuda
+    target_relative_error: float | None = None  # at which a label's runs end early; None: never
+    prior_yaw_sigma_rad: float = 0.03  # of the yaw of the perturbation, where yaw is registered
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse settings out of range."""
         require_seed(self.seed)
         require_positive(self, "prior_variance_m2", "prior_yaw_sigma_rad")
-        for name, known in (("copy", ("same", "split")), ("engine", ("cpu", "cuda"))):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, must be {known[0]} or {known[1]}")
+        for name, choices in (("copy", ("same", "split")), ("engine", ("cpu", "cuda"))):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, must be {choices[0]} or {choices[1]}")
         for name in ("noise_sigma_m", "held_out_runs"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, must be 0 or above")
@@ -59,7 +59,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of L registrations of one submap."""
+    """Outcome of L registrations of one submap."""
 
     errors: np.ndarray  # (L, M) metres and radians: e_l = log(exp(T_hat)^-1 T) of Eq. 10, see `errors`
     converged: np.ndarray  # (L,) bool
@@ -67,7 +67,7 @@ class Outcome:
 
 
 def generator(settings: Settings, submap: Submap, stream: Stream) -> np.random.Generator:
-    """Return the source of a submap's draws: the same whatever the workers, order or other submaps."""
+    """Return the generator of a submap's draws, which does not depend on workers, order or other submaps."""
     return np.random.default_rng([settings.seed, zlib.crc32(submap.survey.encode()), submap.number, stream])
 
 
@@ -76,12 +76,12 @@ def errors(
 ) -> Outcome:
     """Return the errors of `runs` registrations of a perturbed, noisy copy of a submap onto the submap.
 
-    T is the motion of the copy and T_hat what the registration says that it was, so exp(T_hat)^-1 T is what is left of
-    it, p -> R p + t. With x and y alone (M = 2) e = t. With yaw (M = 3) e = (x, y, yaw) is its logarithm in SE(2), in
-    the axes of the submap's frame with the origin at the mean of submap.points: there yaw has least to do with x and
-    y, and there is the origin of a canonical cloud.
+    T is the motion of the copy and T_hat its estimate by registration, so exp(T_hat)^-1 T is the residual motion,
+    p -> R p + t. With x and y alone (M = 2) the error is e = t. With yaw (M = 3) e = (x, y, yaw) is the residual's
+    logarithm in SE(2), in the axes of the submap's frame with the origin at the mean of submap.points: there yaw
+    depends least on x and y, and there a canonical cloud has its origin.
 
-    Draws, in this order: a key (63 bits), then what each copy is moved by, (runs, M) float64. The noise of run l is a
+    The draws, in this order, are a key (63 bits) and the perturbations (runs, M) float64. The noise of run l is a
     function of (key, l), so the first runs are the same however many follow.
 
     Raises:
@@ -91,7 +91,7 @@ def errors(
 
 
 def prior_sigmas(settings: Settings, dimensions: int) -> np.ndarray:
-    """Return the standard deviations (M,) of what a copy is moved by, metres and radians: Sigma_sample's."""
+    """Return the standard deviations (M,) of a perturbation, metres and radians: Sigma_sample's."""
     sigma = np.sqrt(settings.prior_variance_m2)
     return np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
 
@@ -108,15 +108,15 @@ def covariance(errors: np.ndarray) -> np.ndarray:
 
 
 def summarise(outcome: Outcome) -> dict[str, Any]:
-    """Return what a table of labels says of registrations alone: their covariance, how sure it is, how they went.
+    """Return a label's columns that follow from its registrations: covariance, standard errors, counts and shares.
 
     Raises:
         MonteCarloError: fewer than two runs.
     """
-    q, sure = covariance(outcome.errors), error_statistics.standard_errors(outcome.errors)
+    q, standard_errors = covariance(outcome.errors), error_statistics.standard_errors(outcome.errors)
     return {
         **table.to_columns(q),
-        **{name.replace("q_", "se_", 1): value for name, value in table.to_columns(sure).items()},
+        **{name.replace("q_", "se_", 1): value for name, value in table.to_columns(standard_errors).items()},
         **dict(zip(("mean_x_m", "mean_y_m", "mean_w_rad"), outcome.errors.mean(axis=0), strict=False)),
         "runs": len(outcome.errors),
         "converged_share": outcome.converged.mean(),
@@ -136,12 +136,12 @@ class Label:
 
 
 def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Settings) -> Label:
-    """Return a submap's Monte Carlo label from `runs` registrations, or fewer, and the samples.
+    """Return a submap's Monte Carlo label from `runs` registrations, or fewer, and the error samples.
 
-    With settings.target_relative_error the runs end at the first look, one every 100 runs, that finds the label's
-    relative error at the target or below (a sequential stop, Chow and Robbins 1965). They are the first of the runs
-    that are made without a target. A target that is met says nothing of a second basin that no run has met: at 0.2, a
-    third of the labels with a basin of 1 % of the runs stop before they meet it.
+    With settings.target_relative_error the label's relative error is checked every 100 runs, and the runs end when it
+    is at the target or below (a sequential stop, Chow and Robbins 1965). The runs until then are those of a label
+    without a target. A target that is met does not exclude a second basin that no run has reached: at 0.2, a third of
+    the labels with a basin of 1 % of the runs stop before a run reaches it.
 
     Raises:
         MonteCarloError: fewer than two runs.
@@ -150,8 +150,8 @@ def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Sett
     """
     pair = clouds(submap, settings, registration)
     outcome, held_out = (
-        _errors(submap, pair, count, generator(settings, submap, stream), settings, registration, enough)
-        for count, stream, enough in (
+        _errors(submap, pair, count, generator(settings, submap, stream), settings, registration, target_error)
+        for count, stream, target_error in (
             (runs, Stream.LABEL, settings.target_relative_error),
             (settings.held_out_runs, Stream.HELD_OUT, None),
         )
@@ -162,7 +162,7 @@ def label(submap: Submap, runs: int, settings: Settings, registration: gicp.Sett
             **summarise(outcome),
             "submap": submap.number,
             "spacing_m": pair[1].spacing_m,
-            # only a copy of the very points can register to itself
+            # only a copy of the same points can register to itself
             "self_matching": settings.copy == "same" and pair[1].spacing_m > np.sqrt(settings.prior_variance_m2),
         },
         errors=outcome.errors,
@@ -182,21 +182,21 @@ def clouds(submap: Submap, settings: Settings, registration: gicp.Settings) -> t
     return cloud, cloud
 
 
-def of_starts(
+def register_perturbed(
     submap: Submap,
     pair: tuple[gicp.Cloud, gicp.Cloud],
-    moved: np.ndarray,
+    perturbations: np.ndarray,
     noise: gicp.Noise,
     settings: Settings,
     registration: gicp.Settings,
 ) -> Outcome:
-    """Return the errors of registrations of a submap's `clouds` whose copies are moved by (b, M) metres, radians."""
+    """Return the errors of registering copies of a submap's `clouds`, moved by (b, M) metres and radians."""
     centroid = submap.points[:, :2].mean(axis=0, dtype=np.float64) - pair[1].centre[:2]
-    registered = gicp.register_noisy(*pair, moved, noise, registration, engine=settings.engine)
-    # the copy was moved, and then turned (from the start's yaw on) and moved again: all of that is left of its motion
-    T_target_source = registered.T_target_copy @ SE2(moved[:, :2], 0.0)
+    registered = gicp.register_noisy(*pair, perturbations, noise, registration, engine=settings.engine)
+    # the perturbation moves the copy, then registration turns it (from the start's yaw on) and moves it
+    T_target_source = registered.T_target_copy @ SE2(perturbations[:, :2], 0.0)
     residual = T_target_source.about(-centroid).log()
-    return Outcome(residual[:, : moved.shape[1]], registered.converged, registered.iterations)
+    return Outcome(residual[:, : perturbations.shape[1]], registered.converged, registered.iterations)
 
 
 def _errors(
@@ -206,17 +206,17 @@ def _errors(
     rng: np.random.Generator,
     settings: Settings,
     registration: gicp.Settings,
-    enough: float | None = None,
+    target_error: float | None = None,
 ) -> Outcome:
     sigmas = prior_sigmas(settings, registration.dimensions)
     key = int(rng.integers(1 << 63))
-    made = Outcome(np.zeros((0, registration.dimensions)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
-    together = max(1, runs if enough is None else _BATCH)
-    for first in range(0, runs, together):
-        moved = rng.standard_normal((min(together, runs - first), len(sigmas))) * sigmas
+    outcome = Outcome(np.zeros((0, registration.dimensions)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
+    batch = max(1, runs if target_error is None else _BATCH)
+    for first in range(0, runs, batch):
+        perturbations = rng.standard_normal((min(batch, runs - first), len(sigmas))) * sigmas
         noise = gicp.Noise(settings.noise_sigma_m, key, first)
-        found = of_starts(submap, pair, moved, noise, settings, registration)
-        made = Outcome(**{name: np.concatenate([old, vars(found)[name]]) for name, old in vars(made).items()})
-        if enough is not None and error_statistics.relative_error(made.errors) <= enough:
+        latest = register_perturbed(submap, pair, perturbations, noise, settings, registration)
+        outcome = Outcome(**{name: np.concatenate([old, vars(latest)[name]]) for name, old in vars(outcome).items()})
+        if target_error is not None and error_statistics.relative_error(outcome.errors) <= target_error:
             break
-    return made
+    return outcome

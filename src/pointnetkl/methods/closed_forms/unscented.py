@@ -27,7 +27,7 @@ class Unscented:
         # one call a start, because the copies of one call have noise of their own
         starts = sigma_points(self.how.prior())[:, None]
         how = (noise, self.how.label, self.how.registration)
-        errors = np.concatenate([monte_carlo.of_starts(submap, pair, start, *how).errors for start in starts])
+        errors = np.concatenate([monte_carlo.register_perturbed(submap, pair, start, *how).errors for start in starts])
         return spread(errors) + censi.sandwich(self.how.solution(submap, pair), self.how.label.noise_sigma_m)
 
 

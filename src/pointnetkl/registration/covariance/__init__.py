@@ -1,1 +1,1 @@
-"""Covariances as numbers: Gaussians, tables of labels and of estimates."""
+"""Covariances: Gaussians, tables of labels and of estimates, and the catalogue of methods."""

@@ -1,4 +1,4 @@
-"""The interface that every way to get Q has."""
+"""The interface of methods that estimate Q."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -12,7 +12,7 @@ from pointnetkl.workflow import compute
 
 
 class Method(Protocol):
-    """A way to get the covariance of a submap's registration."""
+    """An estimator of the covariance of a submap's registration."""
 
     @property
     def name(self) -> str:

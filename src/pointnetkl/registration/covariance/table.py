@@ -1,4 +1,4 @@
-"""The covariance table: whoever made a covariance, it stands in this form.
+"""The covariance table, whose form is the same for every method.
 
 Q is (M, M), of errors in x, y (M = 2) or in x, y and yaw (M = 3), which adds the columns of YAW.
 """
@@ -32,7 +32,7 @@ def schema(dimensions: int) -> pa.Schema:
 
 
 def read(paths: Sequence[Path], survey: str | None = None) -> pd.DataFrame:
-    """Return the rows of files of covariances, joined: of this survey, where one is given.
+    """Return the rows of several covariance tables, which must be of `survey` if it is given.
 
     Raises:
         CovarianceError: a file has covariances of another survey.
@@ -40,15 +40,15 @@ def read(paths: Sequence[Path], survey: str | None = None) -> pd.DataFrame:
     """
     tables = [artifacts.read_table(path, SCHEMA, also=YAW) for path in paths]
     for path, rows in zip(paths, tables, strict=True):
-        if survey is not None and (others := sorted(set(rows["survey"]) - {survey})):
+        if survey is not None and (strangers := sorted(set(rows["survey"]) - {survey})):
             raise gaussian.CovarianceError(
-                f"{path}: has covariances of survey {others[0]}, not of {survey}; give the files of one survey"
+                f"{path}: has covariances of survey {strangers[0]}, not of {survey}; give the files of one survey"
             )
     return pd.concat(tables, ignore_index=True)
 
 
 def from_matrices(survey: str, method: str, submaps: Iterable[int], q: np.ndarray) -> pd.DataFrame:
-    """Return a table of covariances (n, M, M) in m and rad, each in its submap's frame, every one checked."""
+    """Return a table of covariances (n, M, M) in m and rad, each in its submap's frame, after checking each one."""
     numbers = list(submaps)
     for number, matrix in zip(numbers, q, strict=True):
         gaussian.check(matrix, f"{survey}, submap {number}, {method}")
@@ -58,7 +58,7 @@ def from_matrices(survey: str, method: str, submaps: Iterable[int], q: np.ndarra
 def to_columns(q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the entries of covariances (..., M, M) by the names of their columns."""
     named = _Q if q.shape[-1] == 2 else (*_Q, *_Q_YAW)
-    return {name: q[..., row, column][()] for name, row, column in named}  # [()]: of one matrix a number, no array
+    return {name: q[..., row, column][()] for name, row, column in named}  # [()]: a number, no array, for one matrix
 
 
 def to_matrices(table: pd.DataFrame) -> np.ndarray:
