@@ -47,7 +47,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def told(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
+def run(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
     """Return a command's exit status and what it printed."""
     capsys.readouterr()
     status = command.main(list(map(str, words)))
@@ -56,8 +56,8 @@ def told(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
 
 
 def export(survey: Path, out: Path, *more: object) -> list[object]:
-    given = ["--covariances", survey / "q.parquet", "--params", PARAMS, "--out", out]
-    return ["export", survey / "graph.npz", *given, *more]
+    words = ["--covariances", survey / "q.parquet", "--params", PARAMS, "--out", out]
+    return ["export", survey / "graph.npz", *words, *more]
 
 
 @pytest.mark.parametrize("dialect", g2o.DIALECTS)
@@ -65,16 +65,16 @@ def test_an_exported_graph_solves_to_what_the_benchmark_finds(
     survey: Path, tmp_path: Path, dialect: str, capsys: pytest.CaptureFixture
 ):
     words = export(survey, tmp_path / "a.g2o", "--dialect", dialect, "--corrupted", 2, "--edges", "shared")
-    status, out, _ = told(capsys, *words)
+    status, out, _ = run(capsys, *words)
     assert (status, out.split()[:2]) == (0, ["toy:", "12"])
-    status, out, _ = told(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o", "--tum", tmp_path / "b.tum")
+    status, out, _ = run(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o", "--tum", tmp_path / "b.tum")
     assert (status, f"dialect {dialect}\n" in out) == (0, True)
 
     graph = survey_graph.from_arrays(artifacts.read_arrays(survey / "graph.npz")[0])
-    how = parameters.read(PARAMS, "slam", protocol.Settings)
-    q = dict.fromkeys(graph.number.tolist(), Q + how.floor_m2 * np.eye(2))
+    settings = parameters.read(PARAMS, "slam", protocol.Settings)
+    q = dict.fromkeys(graph.number.tolist(), Q + settings.floor_m2 * np.eye(2))
     full = survey_graph.full_covariances(graph.number, q, graph.closures, graph.closure_noise, "toy", "shared")
-    dead_reckoning = protocol.corrupt(graph, 0, 2, how)
+    dead_reckoning = protocol.corrupt(graph, 0, 2, settings)
     start = pose_graph.chain(graph.gt[0], dead_reckoning)
     factors = pose_graph.PoseGraph(graph.gt[0], graph.closures.edges, full)
     expected = factors.optimise(dead_reckoning, graph.dead_reckoning_noise, start)
@@ -86,8 +86,8 @@ def test_an_exported_graph_solves_to_what_the_benchmark_finds(
 
 
 def test_an_export_has_the_poses_of_gt_and_their_times(survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
-    given = ["--tum", tmp_path / "a.tum", "--poses", survey / "poses.parquet"]
-    assert told(capsys, *export(survey, tmp_path / "a.g2o", *given))[0] == 0
+    words = ["--tum", tmp_path / "a.tum", "--poses", survey / "poses.parquet"]
+    assert run(capsys, *export(survey, tmp_path / "a.g2o", *words))[0] == 0
     graph = survey_graph.from_arrays(artifacts.read_arrays(survey / "graph.npz")[0])
     times, poses = tum.read(tmp_path / "a.tum")
     np.testing.assert_allclose(poses, graph.gt, atol=1e-12)
@@ -97,9 +97,9 @@ def test_an_export_has_the_poses_of_gt_and_their_times(survey: Path, tmp_path: P
 def test_solving_with_our_covariances_says_what_it_replaced(
     survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    told(capsys, *export(survey, tmp_path / "a.g2o", "--edges", "all"))
-    given = ["--covariances", survey / "q.parquet", "--out", tmp_path / "b.g2o"]
-    status, out, _ = told(capsys, "solve", tmp_path / "a.g2o", *given)
+    run(capsys, *export(survey, tmp_path / "a.g2o", "--edges", "all"))
+    words = ["--covariances", survey / "q.parquet", "--out", tmp_path / "b.g2o"]
+    status, out, _ = run(capsys, "solve", tmp_path / "a.g2o", *words)
     graph = g2o.read(tmp_path / "b.g2o").graph
     count = len(graph.edges.source) - 11
     assert status == 0
@@ -109,12 +109,12 @@ def test_solving_with_our_covariances_says_what_it_replaced(
 
 
 def test_an_assumed_dialect_is_told(survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
-    told(capsys, *export(survey, tmp_path / "a.g2o"))
+    run(capsys, *export(survey, tmp_path / "a.g2o"))
     bare = "".join((tmp_path / "a.g2o").read_text().splitlines(keepends=True)[1:])
     (tmp_path / "a.g2o").write_text(bare)
-    _, out, _ = told(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o")
+    _, out, _ = run(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o")
     assert "dialect g2o, which the file does not say: --dialect names another" in out
-    _, out, _ = told(capsys, "solve", tmp_path / "a.g2o", "--dialect", "gtsam", "--out", tmp_path / "b.g2o")
+    _, out, _ = run(capsys, "solve", tmp_path / "a.g2o", "--dialect", "gtsam", "--out", tmp_path / "b.g2o")
     assert "dialect gtsam\n" in out
 
 
@@ -123,15 +123,15 @@ def test_a_robust_solver_names_the_loop_closures_that_it_does_not_believe(
 ):
     graph, wrong = toy_graphs.mesh()
     g2o.write(tmp_path / "a.g2o", graph, "g2o")
-    given = ["--out", tmp_path / "b.g2o", "--params", PARAMS, "--robust", "gnc"]
-    status, out, _ = told(capsys, "solve", tmp_path / "a.g2o", *given)
+    words = ["--out", tmp_path / "b.g2o", "--params", PARAMS, "--robust", "gnc"]
+    status, out, _ = run(capsys, "solve", tmp_path / "a.g2o", *words)
     ends = (graph.number[nodes[wrong]] for nodes in (graph.edges.target, graph.edges.source))
     assert status == 0
     assert "gnc: 1 of 22 loop closures not accepted: {}-{}".format(*ends) in out
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    ("replaced", "sentence"),
     [
         (["--method", "laser"], "has no method laser, but network"),
         (["--corrupted", -1], "--corrupted is -1, must be 0 or above"),
@@ -143,11 +143,11 @@ def test_a_robust_solver_names_the_loop_closures_that_it_does_not_believe(
     ],
 )
 def test_what_cannot_be_exported_is_told_in_a_sentence(
-    survey: Path, tmp_path: Path, words: list[object], sentence: str, capsys: pytest.CaptureFixture
+    survey: Path, tmp_path: Path, replaced: list[object], sentence: str, capsys: pytest.CaptureFixture
 ):
     files = {"OUT": tmp_path / "a.g2o"} | {f"OTHER_{name}": survey / f"other_{name}.parquet" for name in ("q", "poses")}
-    given = [files.get(str(word), word) for word in words]
-    status, out, err = told(capsys, *export(survey, tmp_path / "a.g2o", *given))
+    more = [files.get(str(word), word) for word in replaced]
+    status, out, err = run(capsys, *export(survey, tmp_path / "a.g2o", *more))
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert sentence in err
     assert not (tmp_path / "a.g2o").exists()
@@ -155,16 +155,16 @@ def test_what_cannot_be_exported_is_told_in_a_sentence(
 
 def test_a_damaged_graph_ends_solve_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture):
     (tmp_path / "a.g2o").write_text("VERTEX_SE2 0 0 0 0\n")
-    status, out, err = told(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o")
+    status, out, err = run(capsys, "solve", tmp_path / "a.g2o", "--out", tmp_path / "b.g2o")
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert err.startswith(f"error: {tmp_path / 'a.g2o'}: line 1: it begins with 'VERTEX_SE2'")
     assert not (tmp_path / "b.g2o").exists()
 
 
 def test_one_file_is_not_written_over_another(survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
-    told(capsys, *export(survey, tmp_path / "a.g2o"))
+    run(capsys, *export(survey, tmp_path / "a.g2o"))
     out = tmp_path / "b.g2o"
-    status, _, err = told(capsys, "solve", tmp_path / "a.g2o", "--out", out, "--tum", tmp_path / "." / "b.g2o")
+    status, _, err = run(capsys, "solve", tmp_path / "a.g2o", "--out", out, "--tum", tmp_path / "." / "b.g2o")
     assert (status, err) == (1, f"error: {out}: two files are to be written there; give each a name of its own\n")
     assert not out.exists()
 
@@ -174,8 +174,8 @@ def test_a_damaged_graph_of_the_pipeline_ends_export_in_a_sentence(
 ):
     arrays, _ = artifacts.read_arrays(survey / "graph.npz")
     artifacts.write_arrays(tmp_path / "graph.npz", arrays | {"gt": arrays["gt"] * np.nan}, {})
-    given = ["--covariances", survey / "q.parquet", "--params", PARAMS, "--out", tmp_path / "a.g2o"]
-    status, _, err = told(capsys, "export", tmp_path / "graph.npz", *given)
+    words = ["--covariances", survey / "q.parquet", "--params", PARAMS, "--out", tmp_path / "a.g2o"]
+    status, _, err = run(capsys, "export", tmp_path / "graph.npz", *words)
     assert (status, "graph.npz: the graph is damaged: gt has a number that is not finite" in err) == (1, True)
 
 
@@ -212,13 +212,13 @@ def tilted(roll: float) -> np.ndarray:
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], np.ndarray]:
     """Return six PCD files of tilted submaps on two lines, and the true poses; those in the files drift."""
     folder, (submaps, truth) = tmp_path_factory.mktemp("pcd"), toy_survey.sail(2, 3)
-    given = truth.copy()
-    given[:, :2, 3] += 0.4 * np.arange(6)[:, None] * [0.8, -0.6]
+    drifting = truth.copy()
+    drifting[:, :2, 3] += 0.4 * np.arange(6)[:, None] * [0.8, -0.6]
     paths = []
-    for k, each in enumerate(submaps):
+    for k, toy in enumerate(submaps):
         tilt = tilted(TILT * (-1) ** k)
-        points = pose.transform(np.linalg.inv(tilt), each.points)
-        paths.append(pcd(folder / f"submap_{k}.pdc", points, given[k] @ tilt))
+        points = pose.transform(np.linalg.inv(tilt), toy.points)
+        paths.append(pcd(folder / f"submap_{k}.pdc", points, drifting[k] @ tilt))
     return paths, truth
 
 
@@ -227,7 +227,7 @@ def test_submaps_in_files_become_an_optimised_graph(
 ):
     paths, truth = files
     model = toy_models.write(tmp_path, "mean_field")
-    status, out, err = told(capsys, "slam", model, *paths, "--out", tmp_path / "o", "--params", PARAMS)
+    status, out, err = run(capsys, "slam", model, *paths, "--out", tmp_path / "o", "--params", PARAMS)
     assert status == 0, err
     head, *rows = out.splitlines()
     assert head.split() == ["file", "points", "closures", "moved_m", "major_m", "minor_m", "novelty", "far"]
@@ -238,8 +238,8 @@ def test_submaps_in_files_become_an_optimised_graph(
     times, poses = tum.read(tmp_path / "o/trajectory.tum")
     np.testing.assert_array_equal(times, np.arange(6))
     np.testing.assert_allclose(poses, graph.poses, atol=1e-12)
-    _, given = posed_submaps.read(paths)
-    before, after = (apart(p) - apart(truth) for p in (given, poses))
+    _, drifting = posed_submaps.read(paths)
+    before, after = (apart(p) - apart(truth) for p in (drifting, poses))
     assert np.linalg.norm(before) > 1.9
     assert np.linalg.norm(after) < 0.2
 
@@ -252,8 +252,8 @@ def apart(poses: np.ndarray) -> np.ndarray:
 def test_roll_and_pitch_go_from_the_pose_into_the_points(files: tuple[list[Path], np.ndarray]):
     submaps, poses = posed_submaps.read(files[0])
     expected, _ = toy_survey.sail(2, 3)
-    for found, T, known in zip(submaps, poses, expected, strict=True):
-        np.testing.assert_allclose(found.points, known.points, atol=1e-4)
+    for levelled, T, toy in zip(submaps, poses, expected, strict=True):
+        np.testing.assert_allclose(levelled.points, toy.points, atol=1e-4)
         np.testing.assert_allclose(T[2], [0, 0, 1, -20], atol=1e-7)
 
 
@@ -267,18 +267,18 @@ def test_more_coverage_than_there_is_closes_no_loop_and_is_warned_of(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     model = toy_models.write(tmp_path, "mean_field")
-    given = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage"]
-    status, out, err = told(capsys, "slam", model, *files[0], *given, 1)
+    words = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage"]
+    status, out, err = run(capsys, "slam", model, *files[0], *words, 1)
     assert (status, "loop closures: 0;" in out) == (0, True)
     assert "warning: no submap returns to ground of which earlier ones cover 1" in err
-    assert told(capsys, "slam", model, *files[0], *given, 7)[2].startswith("error: --coverage is 7")
+    assert run(capsys, "slam", model, *files[0], *words, 7)[2].startswith("error: --coverage is 7")
 
 
 def test_a_model_with_yaw_needs_registrations_that_find_it(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     model = toy_models.write(tmp_path, "mean_field", dimensions=3)
-    status, _, err = told(capsys, "slam", model, *files[0], "--out", tmp_path / "o", "--params", PARAMS)
+    status, _, err = run(capsys, "slam", model, *files[0], "--out", tmp_path / "o", "--params", PARAMS)
     assert (status, "is a model of 3 dimensions, and registration.dof in" in err) == (1, True)
 
 
@@ -297,33 +297,33 @@ def test_files_without_poses_are_refused_in_a_sentence(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("said", "sentence"),
+    ("viewpoint", "sentence"),
     [
         ("1 2 3 1 1 0 0", "has not length 1"),
         ("1 2 nan 1 0 0 0", "VIEWPOINT is no pose: 'nan' is not a finite number"),
         ("1 2 3", "VIEWPOINT has 3 numbers, must have 7: x y z qw qx qy qz"),
     ],
 )
-def test_a_viewpoint_that_is_no_pose_is_refused(tmp_path: Path, said: str, sentence: str):
+def test_a_viewpoint_that_is_no_pose_is_refused(tmp_path: Path, viewpoint: str, sentence: str):
     path = pcd(tmp_path / "a.pcd", np.zeros((3, 3)), np.eye(4))
-    path.write_text(path.read_text().replace("VIEWPOINT 0 0 0 1 0 0 0", f"VIEWPOINT {said}"))
-    with pytest.raises(CloudFileError, match=sentence) as found:
+    path.write_text(path.read_text().replace("VIEWPOINT 0 0 0 1 0 0 0", f"VIEWPOINT {viewpoint}"))
+    with pytest.raises(CloudFileError, match=sentence) as refused:
         cloud_files.read_posed(path)
-    assert str(found.value).startswith(f"{path}: ")
+    assert str(refused.value).startswith(f"{path}: ")
 
 
 @pytest.mark.skipif(not REALDATA.exists(), reason="the real files are not here")
 def test_the_authors_toy_submaps_become_an_optimised_graph(tmp_path: Path, capsys: pytest.CaptureFixture):
     paths = sorted((REALDATA / "pcd").glob("*.pdc"))
     model = toy_models.write(tmp_path, "mean_field")
-    given = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage", 0.15]
-    status, out, err = told(capsys, "slam", model, *paths, *given)
+    words = ["--out", tmp_path / "o", "--params", PARAMS, "--coverage", 0.15]
+    status, out, err = run(capsys, "slam", model, *paths, *words)
     assert (status, "9 submaps" in out, "registrations: 1, loop closures: 2;" in out) == (0, True, True), err
     content = g2o.read(tmp_path / "o/graph.g2o").graph
     assert (len(content.number), len(content.edges.source)) == (9, 10)
-    submaps, given = posed_submaps.read(paths)
+    submaps, before_poses = posed_submaps.read(paths)
     # 6 and 3 were not registered to each other: that the others were brings their heights together
-    clouds = [[pose.transform(poses[k], submaps[k].points) for k in (3, 6)] for poses in (given, content.poses)]
+    clouds = [[pose.transform(poses[k], submaps[k].points) for k in (3, 6)] for poses in (before_poses, content.poses)]
     before, after = (heights_apart(*pair) for pair in clouds)
     assert after < 0.9 * before < 0.2
 

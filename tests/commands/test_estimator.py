@@ -25,8 +25,8 @@ def estimators(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pointnetkl
 
 
 def test_importing_the_package_imports_none_of_its_libraries():
-    told = "import sys, pointnetkl; print([m for m in ('numpy', 'torch', 'numba', 'open3d') if m in sys.modules])"
-    result = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True)
+    script = "import sys, pointnetkl; print([m for m in ('numpy', 'torch', 'numba', 'open3d') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert result.stdout.strip() == "[]", result.stderr
     with pytest.raises(AttributeError, match="no attribute 'Covariance'"):
         _ = pointnetkl.Covariance
@@ -95,21 +95,21 @@ def spoiled(**change: float) -> np.ndarray:
     ],
 )
 def test_what_is_no_submap_is_refused_in_a_sentence(estimators: dict, kind: str, points: np.ndarray, sentence: str):
-    with pytest.raises(pointnetkl.estimator.EstimatorError, match=sentence) as found:
+    with pytest.raises(pointnetkl.estimator.EstimatorError, match=sentence) as refused:
         estimators[kind].predict(points)
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 @pytest.mark.parametrize("kind", toy_models.KINDS)
 def test_onnx_gives_the_same_covariance(tmp_path: Path, kind: str, dimensions: int):
-    made = toy_models.model(kind, dimensions)
-    session = onnxruntime.InferenceSession(model_file.to_onnx(made), providers=["CPUExecutionProvider"])
+    model = toy_models.model(kind, dimensions)
+    session = onnxruntime.InferenceSession(model_file.to_onnx(model), providers=["CPUExecutionProvider"])
     estimator = pointnetkl.CovarianceEstimator.load(toy_models.write(tmp_path, kind, dimensions))
     for terrain in ("flat", "ridge", "rugged"):
         points = terrains.cloud(terrain, 900)
-        if made.describe:
-            inputs = {"description": made.describe(points - points.mean(axis=0))[None]}
+        if model.describe:
+            inputs = {"description": model.describe(points - points.mean(axis=0))[None]}
         else:
             cloud = voxel.canonical(points, 0.01)
             inputs = {"points": cloud.points[None], "radius": np.array([cloud.radius], np.float32)}

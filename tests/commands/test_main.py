@@ -57,14 +57,14 @@ def test_with_yaw_its_entries_are_columns_too(tmp_path: Path, capsys: pytest.Cap
 def test_a_file_that_is_no_model_ends_the_command(tmp_path: Path, capsys: pytest.CaptureFixture):
     (tmp_path / "m.pt").write_bytes(b"PK")
     assert command.main(["predict", str(tmp_path / "m.pt"), "s.npz"]) == 1
-    told = capsys.readouterr()
-    assert told.err.startswith(f"error: {tmp_path / 'm.pt'}: is damaged")
-    assert (told.out, told.err.count("\n")) == ("", 1)
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"error: {tmp_path / 'm.pt'}: is damaged")
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
 
 
 def test_help_says_what_goes_in_and_what_comes_out(capsys: pytest.CaptureFixture):
     with pytest.raises(SystemExit) as ended:
         command.main(["predict", "--help"])
     assert ended.value.code == 0
-    told = capsys.readouterr().out
-    assert all(word in told for word in ("PCD", "PLY", "NPZ", "--json", "angle_deg", "novelty", "exit status"))
+    printed = capsys.readouterr().out
+    assert all(word in printed for word in ("PCD", "PLY", "NPZ", "--json", "angle_deg", "novelty", "exit status"))

@@ -42,15 +42,15 @@ def test_a_graph_with_full_matrices_comes_back(tmp_path_factory: pytest.TempPath
     graph, path = graphs.graph(seed), tmp_path_factory.mktemp("g2o") / "a.g2o"
     g2o.write(path, graph, dialect)
     content = g2o.read(path)
-    found = content.graph
+    again = content.graph
     assert (content.dialect, content.is_stated) == (dialect, True)
     for name in ("number", "fixed", "information"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(graph, name))
-    np.testing.assert_array_equal(found.edges.target, graph.edges.target)
-    np.testing.assert_array_equal(found.edges.source, graph.edges.source)
-    np.testing.assert_array_equal(found.poses[:, :3, 3], graph.poses[:, :3, 3])
-    np.testing.assert_allclose(found.poses, graph.poses, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.edges.measured, graph.edges.measured, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(getattr(again, name), getattr(graph, name))
+    np.testing.assert_array_equal(again.edges.target, graph.edges.target)
+    np.testing.assert_array_equal(again.edges.source, graph.edges.source)
+    np.testing.assert_array_equal(again.poses[:, :3, 3], graph.poses[:, :3, 3])
+    np.testing.assert_allclose(again.poses, graph.poses, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(again.edges.measured, graph.edges.measured, rtol=1e-12, atol=1e-12)
 
 
 @given(seed=SEEDS)
@@ -139,8 +139,8 @@ def test_a_caller_who_contradicts_the_file_is_told(tmp_path: Path):
 def test_a_graph_without_edges_is_one(tmp_path: Path):
     alone = g2o.read(text(tmp_path, VERTICES)).graph
     g2o.write(tmp_path / "b.g2o", alone, "gtsam")
-    found = g2o.read(tmp_path / "b.g2o").graph
-    assert (found.poses.shape, found.information.shape, found.fixed.shape) == ((2, 4, 4), (0, 6, 6), (0,))
+    again = g2o.read(tmp_path / "b.g2o").graph
+    assert (again.poses.shape, again.information.shape, again.fixed.shape) == ((2, 4, 4), (0, 6, 6), (0,))
 
 
 @pytest.mark.parametrize(
@@ -171,10 +171,10 @@ def test_a_graph_without_edges_is_one(tmp_path: Path):
     ],
 )
 def test_what_is_no_graph_is_refused_by_its_line(tmp_path: Path, content: str | bytes, sentence: str):
-    with pytest.raises(G2oError, match=sentence) as found:
+    with pytest.raises(G2oError, match=sentence) as refused:
         g2o.read(text(tmp_path, content))
-    assert str(found.value).startswith(str(tmp_path / "a.g2o"))
-    assert "\n" not in str(found.value)
+    assert str(refused.value).startswith(str(tmp_path / "a.g2o"))
+    assert "\n" not in str(refused.value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path):

@@ -22,31 +22,33 @@ def moved(graph: g2o.Graph) -> np.ndarray:
 
 
 def test_q_of_the_later_submap_gives_one_solution_whichever_way_its_edge_runs():
-    there = closure(1, 3, CROSSING, (4.0, 4.0))
+    forward = closure(1, 3, CROSSING, (4.0, 4.0))
     q = {3: LONG_X}
-    forth, back = (graph_exchange.with_covariances(crossing(e), q) for e in (there, reversed_edge(there)))
+    forth, back = (graph_exchange.with_covariances(crossing(e), q) for e in (forward, reversed_edge(forward)))
     assert moved(forth)[0] > 2.0  # next to nothing is known along the source's x, the map's y
     assert abs(moved(forth)[1]) < 0.1
     assert moved(back) == pytest.approx(moved(forth), abs=0.05)
-    assert moved(forth) == pytest.approx(moved(crossing(there, LONG_X)), abs=1e-9)
-    unturned = crossing(reversed_edge(there), LONG_X)
+    assert moved(forth) == pytest.approx(moved(crossing(forward, LONG_X)), abs=1e-9)
+    unturned = crossing(reversed_edge(forward), LONG_X)
     assert abs(moved(unturned)[0]) < 0.1 < moved(unturned)[1]
 
 
 def test_a_q_with_yaw_describes_the_same_error_whichever_way_its_edge_runs():
     q = np.diag([0.04, 0.09, 1e-4]) + 1e-3 * (np.eye(3, k=2) + np.eye(3, k=-2))
-    there = closure(0, 3, CROSSING, (4.0, 4.0))
-    back = graph_exchange.with_covariances(crossing(reversed_edge(there)), {3: q})
-    found = graph_exchange.inverse(back.information)[-1][np.ix_([3, 4, 2], [3, 4, 2])]
+    forward = closure(0, 3, CROSSING, (4.0, 4.0))
+    back = graph_exchange.with_covariances(crossing(reversed_edge(forward)), {3: q})
+    covariance = graph_exchange.inverse(back.information)[-1][np.ix_([3, 4, 2], [3, 4, 2])]
     x, y, yaw = 1e-2 * np.random.default_rng(0).multivariate_normal(np.zeros(3), q, 40_000).T
     e = np.tile(np.eye(4), (len(x), 1, 1))
     e[:, 0, 0], e[:, 0, 1], e[:, 1, 0], e[:, 1, 1] = np.cos(yaw), -np.sin(yaw), np.sin(yaw), np.cos(yaw)
     e[:, 0, 3], e[:, 1, 3] = x, y
-    T = there.measured[0]
-    left = T @ np.linalg.inv(T @ e)  # of the reversed edge, in the frame of the earlier submap
-    errors = np.stack([left[:, 0, 3], left[:, 1, 3], np.arctan2(left[:, 1, 0], left[:, 0, 0])])
-    size = np.sqrt(np.diag(found))
-    np.testing.assert_allclose(found / np.outer(size, size), 1e4 * np.cov(errors) / np.outer(size, size), atol=0.03)
+    T = forward.measured[0]
+    residual = T @ np.linalg.inv(T @ e)  # of the reversed edge, in the frame of the earlier submap
+    errors = np.stack([residual[:, 0, 3], residual[:, 1, 3], np.arctan2(residual[:, 1, 0], residual[:, 0, 0])])
+    size = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        covariance / np.outer(size, size), 1e4 * np.cov(errors) / np.outer(size, size), atol=0.03
+    )
     assert size[1] > 4 * 0.2  # the yaw's lever is 100 m
 
 

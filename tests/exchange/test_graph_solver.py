@@ -32,14 +32,14 @@ def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str)
     graph, wrong = mesh()
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))
     thresholds = parameters.read(PARAMS, "stress.thresholds", estimators.Thresholds)
-    found, weights = graph_solver.solve_robust(graph, doubted, kernel, thresholds)
+    robust, weights = graph_solver.solve_robust(graph, doubted, kernel, thresholds)
     right, plain = graph_solver.solve(without(graph, wrong)), graph_solver.solve(graph)
     assert doubted[weights.argmin()] == wrong
     assert weights.min() < 0.1 < 0.5 < np.median(weights)
-    error, plain_error = (np.abs(each.poses - right.poses)[:, :2, 3].max() for each in (found, plain))
+    error, plain_error = (np.abs(solution.poses - right.poses)[:, :2, 3].max() for solution in (robust, plain))
     assert error < 0.3 < 1.0 < plain_error
-    np.testing.assert_allclose(found.poses[graph.fixed], graph.poses[graph.fixed], atol=1e-6)
-    assert plain.chi2_after < found.chi2_after < found.chi2_before
+    np.testing.assert_allclose(robust.poses[graph.fixed], graph.poses[graph.fixed], atol=1e-6)
+    assert plain.chi2_after < robust.chi2_after < robust.chi2_before
 
 
 def test_a_robust_kernel_that_doubts_nothing_gives_the_plain_solution():
@@ -47,9 +47,9 @@ def test_a_robust_kernel_that_doubts_nothing_gives_the_plain_solution():
     sound = without(graph, wrong)
     doubted = np.flatnonzero(graph_exchange.closes_loop(sound))
     easy = estimators.Thresholds(1e3, 1e3, 1e6, 0.999999, 2.0)
-    found, weights = graph_solver.solve_robust(sound, doubted, "huber", easy)
+    robust, weights = graph_solver.solve_robust(sound, doubted, "huber", easy)
     assert weights.min() == 1
-    np.testing.assert_allclose(found.poses, graph_solver.solve(sound).poses, atol=1e-3)
+    np.testing.assert_allclose(robust.poses, graph_solver.solve(sound).poses, atol=1e-3)
 
 
 def test_a_graph_of_damaged_numbers_is_solved_or_ends_in_an_error_of_ours(tmp_path: Path):
@@ -59,11 +59,11 @@ def test_a_graph_of_damaged_numbers_is_solved_or_ends_in_an_error_of_ours(tmp_pa
         words[int(rng.integers(len(words)))] = rng.choice([b"1e300", b"-1e308", b"1e-300", b"0", b"1e160"])
         (tmp_path / "a.g2o").write_bytes(b" ".join(words))
         try:
-            found = graph_solver.solve(g2o.read(tmp_path / "a.g2o").graph)
+            solution = graph_solver.solve(g2o.read(tmp_path / "a.g2o").graph)
         except PointNetKLError:
             continue
         solved += 1
-        assert np.isfinite(found.poses).all()
+        assert np.isfinite(solution.poses).all()
     assert 5 < solved < 145
 
 
@@ -71,11 +71,10 @@ def test_the_solver_s_chi2_is_the_sum_over_edges():
     graph = crossing(closure(1, 3, CROSSING, (4.0, -3.0)))
     solved = graph_solver.solve(graph)
     assert solved.chi2_before == pytest.approx((4**2 + 3**2) / 0.5)
-    at = dataclasses.replace(graph, poses=solved.poses)
-    poses, edges = at.poses, at.edges
-    left = np.linalg.inv(edges.measured) @ np.linalg.inv(poses[edges.target]) @ poses[edges.source]
-    e = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in left])
-    assert solved.chi2_after == pytest.approx(np.einsum("ei,eij,ej->", e, at.information, e), rel=1e-4)
+    poses, edges = solved.poses, graph.edges
+    residual = np.linalg.inv(edges.measured) @ np.linalg.inv(poses[edges.target]) @ poses[edges.source]
+    e = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in residual])
+    assert solved.chi2_after == pytest.approx(np.einsum("ei,eij,ej->", e, graph.information, e), rel=1e-4)
     assert solved.chi2_after < solved.chi2_before
 
 
@@ -98,11 +97,11 @@ def test_a_vertex_that_nothing_holds_is_named():
 
 def test_poses_that_still_move_at_an_error_that_does_not_change_are_a_solution(monkeypatch: pytest.MonkeyPatch):
     graph, _ = mesh()
-    found = graph_solver.solve(graph)
+    solution = graph_solver.solve(graph)
     monkeypatch.setattr(gtsam_search, "_STEADY_M", 0.0)  # as on a bend that no edge feels: no step is small enough
     again = graph_solver.solve(graph)
-    np.testing.assert_allclose(again.poses, found.poses, atol=1e-3)
-    assert again.chi2_after == pytest.approx(found.chi2_after, rel=1e-8)
+    np.testing.assert_allclose(again.poses, solution.poses, atol=1e-3)
+    assert again.chi2_after == pytest.approx(solution.chi2_after, rel=1e-8)
 
 
 def test_a_search_that_does_not_come_to_rest_says_how_far_it_still_moves(monkeypatch: pytest.MonkeyPatch):

@@ -19,10 +19,10 @@ def test_a_trajectory_comes_back(tmp_path_factory: pytest.TempPathFactory, seed:
     times, poses = 1e9 + np.cumsum(rng.uniform(0.01, 100, count)), graphs.poses(count, rng, 1e6)
     tum.write(path, times, poses, "seconds")
     assert path.read_text().startswith("# seconds; ")
-    found_times, found = tum.read(path)
-    np.testing.assert_array_equal(found_times, times)
-    np.testing.assert_array_equal(found[:, :3, 3], poses[:, :3, 3])
-    np.testing.assert_allclose(found, poses, rtol=1e-12, atol=1e-12)
+    times_again, again = tum.read(path)
+    np.testing.assert_array_equal(times_again, times)
+    np.testing.assert_array_equal(again[:, :3, 3], poses[:, :3, 3])
+    np.testing.assert_allclose(again, poses, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -39,9 +39,9 @@ def test_a_trajectory_comes_back(tmp_path_factory: pytest.TempPathFactory, seed:
 )
 def test_what_is_no_trajectory_is_refused_by_its_line(tmp_path: Path, content: str | bytes, sentence: str):
     (tmp_path / "a.tum").write_bytes(content.encode() if isinstance(content, str) else content)
-    with pytest.raises(TumError, match=sentence) as found:
+    with pytest.raises(TumError, match=sentence) as refused:
         tum.read(tmp_path / "a.tum")
-    assert str(found.value).startswith(str(tmp_path / "a.tum"))
+    assert str(refused.value).startswith(str(tmp_path / "a.tum"))
 
 
 def test_a_damaged_file_is_a_trajectory_or_an_error_of_ours(tmp_path: Path):

@@ -11,18 +11,18 @@ from pointnetkl.slam.graph.pose_graph import Edges
 
 def poses(count: int, rng: np.random.Generator, size_m: float = 1e3) -> np.ndarray:
     """Return transforms (n, 4, 4), turned in every way."""
-    made = np.tile(np.eye(4), (count, 1, 1))
-    made[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
-    made[:, :3, 3] = rng.normal(size=(count, 3)) * size_m
-    return made
+    transforms = np.tile(np.eye(4), (count, 1, 1))
+    transforms[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    transforms[:, :3, 3] = rng.normal(size=(count, 3)) * size_m
+    return transforms
 
 
 def definite(count: int, rng: np.random.Generator, scales: float = 4.0) -> np.ndarray:
     """Return symmetric positive definite matrices (e, 6, 6), of axes from 10^-scales to 10^scales."""
     root = rng.normal(size=(count, 6, 6)) + 3 * np.eye(6)
     axes = 10 ** rng.uniform(-scales, scales, (count, 6))
-    found = axes[:, :, None] * (root @ np.swapaxes(root, 1, 2)) * axes[:, None]
-    return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+    matrices = axes[:, :, None] * (root @ np.swapaxes(root, 1, 2)) * axes[:, None]
+    return np.asarray((matrices + np.swapaxes(matrices, 1, 2)) / 2)
 
 
 def graph(seed: int, vertices: int = 6, edges: int = 9, scales: float = 4.0) -> Graph:

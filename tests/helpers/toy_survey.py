@@ -45,7 +45,7 @@ def _submap(number: int, T_map_submap: np.ndarray, rng: np.random.Generator) -> 
 def graph(
     lines: int = 3,
     along: int = 4,
-    known: bool = True,
+    has_truth: bool = True,
     apart: float = 10.0,
     registration: gicp.Settings = REGISTRATION,
 ) -> tuple[list[Submap], SurveyGraph]:
@@ -55,6 +55,8 @@ def graph(
     navigation[1:, :2, 3] += 0.1 * np.cumsum(np.random.default_rng(2).normal(size=(len(truth) - 1, 2)), axis=0)
     q = np.diag([0.01, 0.01, 1e-5][: registration.dimensions])
     labels = {s.number: q for s in submaps}
-    given = truth if known else np.full_like(truth, np.nan)
-    made = graph_construction.build("toy", submaps, navigation, given, labels, SPACING, SETTINGS, registration)
-    return submaps, made
+    known_truth = truth if has_truth else np.full_like(truth, np.nan)
+    survey_graph = graph_construction.build(
+        "toy", submaps, navigation, known_truth, labels, SPACING, SETTINGS, registration
+    )
+    return submaps, survey_graph

@@ -58,8 +58,8 @@ def test_with_yaw_the_slip_takes_yaw_before_x_and_y():
 
 
 def test_the_first_loop_closure_is_left_out_and_no_other():
-    _, made = graph(3, 4)
-    edges = made.closures.edges
+    _, survey_graph = graph(3, 4)
+    edges = survey_graph.closures.edges
     full = pose_graph.closure_covariances(np.tile(np.eye(2), (len(edges.source), 1, 1)), CLOSURE)
     kept, covariances = authors_slips.closures(edges, full)
     assert kept.source.tolist() == edges.source[1:].tolist()

@@ -32,11 +32,11 @@ Measured = tuple[pd.DataFrame, pd.DataFrame]
 
 
 def measure(
-    made: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
+    survey: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
 ) -> Measured:
     """Return the tables of a toy survey."""
-    how = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration)
-    return closure_errors.measure(made[1], made[0], dataclasses.replace(CHOSEN, runs=runs), how)
+    setup = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration)
+    return closure_errors.measure(survey[1], survey[0], dataclasses.replace(CHOSEN, runs=runs), setup)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def measured(toy: tuple[list[submap.Submap], SurveyGraph]) -> Measured:
     return measure(toy)
 
 
-def covariances(covariances: pd.DataFrame, method: str) -> dict[int, np.ndarray]:
+def by_submap(covariances: pd.DataFrame, method: str) -> dict[int, np.ndarray]:
     """Return the covariances of a method by submap."""
     rows = covariances[covariances["method"] == method]
     return dict(zip(rows["submap"].tolist(), table.to_matrices(rows), strict=True))
@@ -65,7 +65,7 @@ def size(q: np.ndarray) -> float:
 def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_of_them(
     toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
 ):
-    pair, split = covariances(measured[1], "pair"), covariances(measured[1], "split")
+    pair, split = by_submap(measured[1], "pair"), by_submap(measured[1], "split")
     for number, q in pair.items():
         rng = np.random.default_rng(1)
         same = monte_carlo.covariance(monte_carlo.errors(toy[0][number], 60, rng, LABEL, REGISTRATION).errors)
@@ -75,22 +75,22 @@ def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_o
 def test_there_is_a_row_for_each_registration_of_each_draw(
     toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
 ):
-    rows, made = measured[0], toy[1]
+    rows, graph_ = measured[0], toy[1]
     assert list(rows.columns) == closure_tables.CLOSURES.names
-    for draw, closures in enumerate(made.draws):
-        of = rows[rows["draw"] == draw]
-        assert of["submap"].tolist() == made.number[closures.node].tolist()
-        expected = survey_graph.registration_errors(closures, made.truth)
-        assert of[["error_x_m", "error_y_m"]].to_numpy() == pytest.approx(expected)
+    for draw, closures in enumerate(graph_.draws):
+        of_draw = rows[rows["draw"] == draw]
+        assert of_draw["submap"].tolist() == graph_.number[closures.node].tolist()
+        expected = survey_graph.registration_errors(closures, graph_.truth)
+        assert of_draw[["error_x_m", "error_y_m"]].to_numpy() == pytest.approx(expected)
     assert rows["overlap"].between(SETTINGS.coverage, 1).all()
-    assert set(covariances(measured[1], "pair")) == set(rows["submap"])
+    assert set(by_submap(measured[1], "pair")) == set(rows["submap"])
 
 
 def test_a_placed_registration_errs_as_the_graph_s_does_where_gt_is_the_truth():
-    submaps, made = graph()
-    true = dataclasses.replace(made, gt=made.truth)
+    submaps, graph_ = graph()
+    true = dataclasses.replace(graph_, gt=graph_.truth)
     starts = [loop_closure.starts("toy", submaps, SETTINGS, 2, draw) for draw in range(2)]
-    draws = tuple(loop_closure.close(submaps, made.truth, start, SPACING, SETTINGS, REGISTRATION) for start in starts)
+    draws = tuple(loop_closure.close(submaps, graph_.truth, start, SPACING, SETTINGS, REGISTRATION) for start in starts)
     rows, _ = measure((submaps, dataclasses.replace(true, draws=draws)), runs=4)
     first = rows[rows["submap"] == rows["submap"].min()]  # its targets have not been registered themselves
     for axis in "xy":
@@ -101,10 +101,10 @@ def test_a_placed_registration_errs_as_the_graph_s_does_where_gt_is_the_truth():
 
 
 def test_a_wrong_heading_errs_by_its_lever_to_the_common_ground(toy: tuple[list[submap.Submap], SurveyGraph]):
-    submaps, made = toy
-    gt = made.truth.copy()
+    submaps, graph_ = toy
+    gt = graph_.truth.copy()
     gt[-1] = gt[-1] @ pose.matrix(np.zeros(3), 0.01)
-    rows, _ = measure((submaps, dataclasses.replace(made, gt=gt)), runs=4)
+    rows, _ = measure((submaps, dataclasses.replace(graph_, gt=gt)), runs=4)
     by_submap = rows.groupby("submap")["heading_m"].first()
     # the line before is 10 m away: the middle of what both have is 5 m to the side, but for cells of 4 m
     assert by_submap.iloc[-1] == pytest.approx(0.01 * 5, rel=0.15)
@@ -113,18 +113,18 @@ def test_a_wrong_heading_errs_by_its_lever_to_the_common_ground(toy: tuple[list[
 
 
 def test_without_a_truth_only_gt_tells_errors(toy: tuple[list[submap.Submap], SurveyGraph]):
-    submaps, made = toy
-    rows, _ = measure((submaps, dataclasses.replace(made, truth=np.full_like(made.truth, np.nan))), runs=4)
+    submaps, graph_ = toy
+    rows, _ = measure((submaps, dataclasses.replace(graph_, truth=np.full_like(graph_.truth, np.nan))), runs=4)
     assert rows[["error_x_m", "given_m", "heading_m"]].isna().all(axis=None)
     assert rows[["gt_error_x_m", "placed_error_x_m"]].notna().all(axis=None)
 
 
 def test_with_yaw_there_is_its_error_too():
     with_yaw = dataclasses.replace(REGISTRATION, dof="xyyaw")
-    rows, found = measure(graph(registration=with_yaw), with_yaw)
+    rows, covariances = measure(graph(registration=with_yaw), with_yaw)
     assert list(rows.columns) == closure_tables.schema(3).names
     assert 0 < rows["placed_error_w_rad"].abs().max() < 0.05
-    for q in covariances(found, "pair").values():
+    for q in by_submap(covariances, "pair").values():
         assert q.shape == (3, 3)
         assert np.sqrt(q[2, 2]) < 0.02
     # nothing is said of the error that a registration without yaw would have
@@ -136,25 +136,25 @@ def test_the_number_of_workers_does_not_count(
 ):
     for workers in ("1", "3"):
         monkeypatch.setenv("POINTNETKL_WORKERS", workers)
-        for found, expected in zip(measure(toy), measured, strict=True):
-            pd.testing.assert_frame_equal(found, expected, check_exact=True)
+        for actual, expected in zip(measure(toy), measured, strict=True):
+            pd.testing.assert_frame_equal(actual, expected, check_exact=True)
 
 
 def test_a_survey_that_closes_no_loop_has_empty_tables():
-    rows, found = measure(graph(lines=1), runs=4)
-    assert len(rows) == len(found) == 0
+    rows, covariances = measure(graph(lines=1), runs=4)
+    assert len(rows) == len(covariances) == 0
     assert list(rows.columns) == closure_tables.CLOSURES.names
-    assert list(found.columns) == table.SCHEMA.names
+    assert list(covariances.columns) == table.SCHEMA.names
 
 
 def test_points_off_the_target_are_left_out_at_each_start_as_the_graph_leaves_them_out(
     toy: tuple[list[submap.Submap], SurveyGraph],
 ):
-    submaps, made = toy
+    submaps, graph_ = toy
     ground = loop_closure.Ground(
-        pose.transform(made.truth[0], submaps[0].points), made.truth[0][:3, 3], 2.0, REGISTRATION
+        pose.transform(graph_.truth[0], submaps[0].points), graph_.truth[0][:3, 3], 2.0, REGISTRATION
     )
-    cloud = pose.transform(made.truth[7], submaps[7].points)
+    cloud = pose.transform(graph_.truth[7], submaps[7].points)
     starts = [SE2(translation, 0.0) for translation in np.random.default_rng(1).normal(0, 1, (5, 2))]
     for start, outcome in zip(starts, ground.register_many(cloud, starts), strict=True):
         expected = ground.register(cloud, start)
@@ -177,12 +177,12 @@ def test_where_no_placed_registration_matches_q_ij_is_the_label_by_halves(
     alone = toy[1].number[toy[1].closures.node[0]]
     errors = closure_errors._errors
 
-    def lost(one: submap.Submap, *rest: Any) -> np.ndarray:
-        return errors(one, *rest) * (np.nan if one.number == alone else 1.0)
+    def lost(source: submap.Submap, *rest: Any) -> np.ndarray:
+        return errors(source, *rest) * (np.nan if source.number == alone else 1.0)
 
     monkeypatch.setattr(closure_errors, "_errors", lost)
-    _, found = measure(toy, runs=4)
-    pair, split = covariances(found, "pair"), covariances(found, "split")
+    _, covariances = measure(toy, runs=4)
+    pair, split = by_submap(covariances, "pair"), by_submap(covariances, "split")
     assert set(pair) == set(split)
     assert (pair[alone] == split[alone]).all()
     assert sum((pair[number] == split[number]).all() for number in pair) == 1
@@ -194,11 +194,11 @@ def test_fewer_than_four_runs_are_refused():
         closure_errors.Settings(1, 3)
 
 
-def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: int) -> list[str]:
+def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps: int) -> list[str]:
     """Write what the stage reads; return its command."""
     sampling = {"kind": "pings", "spacing_m": SPACING}
-    artifacts.write_table(folder / "submaps.parquet", submap.to_table(made[0][:submaps]), submap.POINTS, sampling)
-    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(made[1]), {})
+    artifacts.write_table(folder / "submaps.parquet", submap.to_table(survey[0][:submaps]), submap.POINTS, sampling)
+    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(survey[1]), {})
     sections = {
         "calibrate": closure_errors.Settings(5, 4),
         "graph": SETTINGS,
@@ -208,8 +208,8 @@ def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: 
     params = {name: parameters.as_metadata(values) for name, values in sections.items()}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]
-    chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
-    (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(chosen), 0.01, {}))
+    settings = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
+    (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(settings), 0.01, {}))
     command += ["--graph", "graph.npz", "--submaps", "submaps.parquet", "--model", "mine.pt"]
     return [*command, "--closures", "out/toy.parquet", "--covariances", "out/toy_covariances.parquet"]
 
@@ -217,9 +217,9 @@ def write(folder: Path, made: tuple[list[submap.Submap], SurveyGraph], submaps: 
 def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGraph], tmp_path: Path):
     subprocess.run(write(tmp_path, toy, len(toy[0])), cwd=tmp_path, check=True, capture_output=True)
     rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_tables.CLOSURES)
-    found = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
-    assert len(rows) == sum(len(each.node) for each in toy[1].draws)
-    assert set(found["method"]) == {"split", "pair", "mine_overlap"}
+    covariances = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
+    assert len(rows) == sum(len(closures.node) for closures in toy[1].draws)
+    assert set(covariances["method"]) == {"split", "pair", "mine_overlap"}
 
 
 def test_submaps_of_another_graph_are_refused_in_one_sentence(

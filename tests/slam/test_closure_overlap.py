@@ -29,40 +29,40 @@ class Asked:
 
 
 def test_a_method_sees_the_points_over_the_targets_and_no_others():
-    submaps, made = graph(2, 3, apart=12.0)
-    asked = Asked()
-    found = overlap.tabulate([asked], made, submaps, REACH)
-    assert found["submap"].tolist() == made.closures.node.tolist()
-    assert set(found["method"]) == {"asked_overlap"}
+    submaps, survey_graph = graph(2, 3, apart=12.0)
+    method = Asked()
+    covariances = overlap.tabulate([method], survey_graph, submaps, REACH)
+    assert covariances["submap"].tolist() == survey_graph.closures.node.tolist()
+    assert set(covariances["method"]) == {"asked_overlap"}
     # the second line lies 12 m beside the first, one way round, and its swath is as wide
-    for number, part in asked.seen.items():
-        north = pose.transform(made.gt[number], part.points)[:, 1]
+    for number, part in method.seen.items():
+        north = pose.transform(survey_graph.gt[number], part.points)[:, 1]
         assert 0.6 * len(submaps[number].points) < len(part.points) < 0.9 * len(submaps[number].points)
         assert north.max() < SWATH / 2 + REACH + 1.0
-        assert pose.transform(made.gt[number], submaps[number].points)[:, 1].max() > SWATH / 2 + 10.0
+        assert pose.transform(survey_graph.gt[number], submaps[number].points)[:, 1].max() > SWATH / 2 + 10.0
 
 
 def test_where_all_of_a_submap_was_registered_all_of_it_is_seen():
-    submaps, made = graph(2, 3, apart=12.0)
-    asked = Asked()
-    overlap.tabulate([asked], made, submaps, None)
-    assert all(part is submaps[number] for number, part in asked.seen.items())
+    submaps, survey_graph = graph(2, 3, apart=12.0)
+    method = Asked()
+    overlap.tabulate([method], survey_graph, submaps, None)
+    assert all(part is submaps[number] for number, part in method.seen.items())
 
 
 def test_ground_that_hardly_has_points_leaves_the_whole_submap():
-    submaps, made = graph(2, 3)
-    asked = Asked()
-    overlap.tabulate([asked], made, submaps, 1e-6)
-    assert [len(part.points) for part in asked.seen.values()] == [len(submaps[n].points) for n in asked.seen]
+    submaps, survey_graph = graph(2, 3)
+    method = Asked()
+    overlap.tabulate([method], survey_graph, submaps, 1e-6)
+    assert [len(part.points) for part in method.seen.values()] == [len(submaps[n].points) for n in method.seen]
 
 
 def test_with_yaw_a_covariance_is_moved_to_the_middle_of_the_whole_submap():
-    submaps, made = graph(2, 3, apart=12.0, registration=replace(REGISTRATION, dof="xyyaw"))
-    asked = Asked(dimensions=3)
-    found = overlap.tabulate([asked], made, submaps, REACH)
+    submaps, survey_graph = graph(2, 3, apart=12.0, registration=replace(REGISTRATION, dof="xyyaw"))
+    method = Asked(dimensions=3)
+    covariances = overlap.tabulate([method], survey_graph, submaps, REACH)
     rng = np.random.default_rng(3)
-    for number, q in zip(found["submap"], table.to_matrices(found), strict=True):
-        away = submaps[number].points[:, :2].mean(axis=0) - asked.seen[number].points[:, :2].mean(axis=0)
+    for number, q in zip(covariances["submap"], table.to_matrices(covariances), strict=True):
+        away = submaps[number].points[:, :2].mean(axis=0) - method.seen[number].points[:, :2].mean(axis=0)
         errors = rng.normal(0.0, np.sqrt([1.0, 2.0, 1e-4]), (200_000, 3))
         moved = SE2.from_vector(errors).act(away) - away
         expected = np.cov(np.column_stack([moved, errors[:, 2]]), rowvar=False)
@@ -72,7 +72,7 @@ def test_with_yaw_a_covariance_is_moved_to_the_middle_of_the_whole_submap():
 
 
 def test_a_survey_that_closes_no_loop_has_an_empty_table():
-    submaps, made = graph(1, 4)
-    found = overlap.tabulate([Asked()], made, submaps, REACH)
-    assert found.empty
-    assert found.columns.tolist() == table.SCHEMA.names
+    submaps, survey_graph = graph(1, 4)
+    covariances = overlap.tabulate([Asked()], survey_graph, submaps, REACH)
+    assert covariances.empty
+    assert covariances.columns.tolist() == table.SCHEMA.names

@@ -53,11 +53,11 @@ def test_equal_maps_are_equal_bytes(written: Path):
 
 
 def test_rasters_are_read_as_they_were_written(written: Path):
-    found = consistency_map.read(written, ("truth", "network", "gt"))
-    assert list(found.errors) == ["network", "gt"]
-    assert found.extent == (649_970.0, 650_060.0, 6_449_940.0, 6_450_030.0)
-    within = consistency_map.extent([GT, NETWORK])
-    np.testing.assert_array_equal(found.errors["gt"], consistency_map.raster(GT, within))
+    rasters = consistency_map.read(written, ("truth", "network", "gt"))
+    assert list(rasters.errors) == ["network", "gt"]
+    assert rasters.extent == (649_970.0, 650_060.0, 6_449_940.0, 6_450_030.0)
+    extent = consistency_map.extent([GT, NETWORK])
+    np.testing.assert_array_equal(rasters.errors["gt"], consistency_map.raster(GT, extent))
 
 
 def test_north_is_up(written: Path):
@@ -104,9 +104,9 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
     rows = pd.DataFrame({"survey": "mine", "which": "gt", "submap": range(3), **columns, "yaw_rad": yaw})
     shuffled = rows.iloc[[2, 0, 1]][slam_tables.TRAJECTORIES.names]
     measure = map_to_map.MapToMap(clouds, 15.0, 2)
-    found = consistency_map.cells_by_trajectory(shuffled, measure.cells)
+    cells = consistency_map.cells_by_trajectory(shuffled, measure.cells)
     expected = measure.cells(np.array([pose.matrix(p, a) for p, a in zip(xyz, yaw, strict=True)]))
-    np.testing.assert_array_equal(found["gt"].error_m, expected.error_m)
+    np.testing.assert_array_equal(cells["gt"].error_m, expected.error_m)
 
 
 def test_a_map_frame_is_what_the_pings_say(tmp_path: Path):

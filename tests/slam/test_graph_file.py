@@ -27,23 +27,23 @@ def write(path: Path, metadata: dict[str, Any] = METADATA, **spoilt: np.ndarray 
     return path
 
 
-def with_value(name: str, value: float, at: tuple[int, ...] = (0,)) -> dict[str, np.ndarray]:
+def with_value(name: str, value: float, index: tuple[int, ...] = (0,)) -> dict[str, np.ndarray]:
     """Return an array of the graph with one number replaced."""
     array = ARRAYS[name].copy()
-    array[at] = value
+    array[index] = value
     return {name: array}
 
 
 def test_a_graph_comes_back_from_its_file_with_its_metadata(path: Path):
-    found = graph_file.read(write(path), "toy", 2)
-    again = survey_graph.to_arrays(found.graph)
+    file = graph_file.read(write(path), "toy", 2)
+    again = survey_graph.to_arrays(file.graph)
     assert all(np.array_equal(again[name], array, equal_nan=array.dtype.kind == "f") for name, array in ARRAYS.items())
-    assert (found.number("spacing_m"), found.number("graph.cell_factor")) == (0.8, 5.0)
+    assert (file.number("spacing_m"), file.number("graph.cell_factor")) == (0.8, 5.0)
 
 
 def test_the_truth_may_be_unknown(path: Path):
-    found = graph_file.read(write(path, truth=np.full_like(ARRAYS["truth"], np.nan)))
-    assert np.isnan(found.graph.truth).all()
+    file = graph_file.read(write(path, truth=np.full_like(ARRAYS["truth"], np.nan)))
+    assert np.isnan(file.graph.truth).all()
 
 
 @pytest.mark.parametrize(

@@ -58,22 +58,22 @@ def test_the_submap_just_before_never_closes_a_loop():
     submaps, truth = sail(1, 1)
     pile = [dataclasses.replace(submaps[0], number=k) for k in range(3)]
     starts = np.zeros((3, 2))
-    found = loop_closure.close(pile, truth.repeat(3, axis=0), starts, SPACING, SETTINGS, REGISTRATION)
-    assert [found.edges.target.tolist(), found.edges.source.tolist()] == [[0], [2]]
+    closures = loop_closure.close(pile, truth.repeat(3, axis=0), starts, SPACING, SETTINGS, REGISTRATION)
+    assert [closures.edges.target.tolist(), closures.edges.source.tolist()] == [[0], [2]]
 
 
 def test_lines_too_far_apart_close_no_loops_and_a_single_line_closes_none():
     assert len(close(2, 3, apart=30.0)[0].node) == 0
-    found, truth = close(1, 3)
-    assert survey_graph.errors(found, truth).shape == (0, 2)
-    assert survey_graph.registration_errors(found, truth).shape == (0, 2)
+    closures, truth = close(1, 3)
+    assert survey_graph.errors(closures, truth).shape == (0, 2)
+    assert survey_graph.registration_errors(closures, truth).shape == (0, 2)
 
 
 def test_a_loop_closure_measures_the_relative_pose_of_its_submaps():
-    found, truth = close(3, 4)
-    assert len(found.node) >= 6
-    edges = found.edges
-    assert np.abs(survey_graph.errors(found, truth)).max() < 0.2
+    closures, truth = close(3, 4)
+    assert len(closures.node) >= 6
+    edges = closures.edges
+    assert np.abs(survey_graph.errors(closures, truth)).max() < 0.2
     exact = np.linalg.inv(truth[edges.target]) @ truth[edges.source]
     # z, roll, pitch and yaw are those of the poses handed in
     assert edges.measured[:, :3, :3] == pytest.approx(exact[:, :3, :3])
@@ -94,20 +94,20 @@ def test_a_corrected_submap_replaces_the_one_that_was_handed_in():
     submaps, truth = sail(3, 1)
     stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
     poses[2, :2, 3] += [1.0, 0.5]  # navigation errs here, and only here
-    found = loop_closure.close(stack, poses, np.zeros((5, 2)), SPACING, SETTINGS, REGISTRATION)
-    assert found.correction[0] == pytest.approx([-1.0, -0.5], abs=1e-2)
-    assert found.edges.measured[:, :2, 3] == pytest.approx(np.zeros((len(found.edges.source), 2)), abs=2e-2)
+    closures = loop_closure.close(stack, poses, np.zeros((5, 2)), SPACING, SETTINGS, REGISTRATION)
+    assert closures.correction[0] == pytest.approx([-1.0, -0.5], abs=1e-2)
+    assert closures.edges.measured[:, :2, 3] == pytest.approx(np.zeros((len(closures.edges.source), 2)), abs=2e-2)
 
 
 def test_with_yaw_a_loop_closure_measures_that_too():
     submaps, truth = sail(3, 4)
     starts = loop_closure.starts("toy", submaps, SETTINGS, 3)
-    found = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, WITH_YAW)
-    e = survey_graph.errors(found, truth)
-    assert e.shape == (len(found.edges.source), 3)
+    closures = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, WITH_YAW)
+    e = survey_graph.errors(closures, truth)
+    assert e.shape == (len(closures.edges.source), 3)
     assert np.abs(e).max(axis=0) == pytest.approx(np.zeros(3), abs=0.2)
     assert 0 < np.abs(e[:, 2]).max() < 0.01
-    assert np.abs(starts[found.node] - found.start[:, :3]).max(axis=0)[2] == 0
+    assert np.abs(starts[closures.node] - closures.start[:, :3]).max(axis=0)[2] == 0
     assert starts[:, :2] == pytest.approx(loop_closure.starts("toy", submaps, SETTINGS))
 
 
@@ -115,10 +115,10 @@ def test_a_submap_that_navigation_turned_is_turned_back_about_its_own_middle():
     submaps, truth = sail(3, 1)
     stack, poses = [submaps[0]] * 5, truth[[0, 0, 0, 0, 0]].copy()
     poses[2] = truth[0] @ pose.matrix(np.array([1.0, 0.5, 0.0]), 0.05)  # navigation errs here, and only here
-    found = loop_closure.close(stack, poses, np.zeros((5, 3)), SPACING, SETTINGS, WITH_YAW)
-    assert found.correction[0] == pytest.approx([-1.0, -0.5, -0.05], abs=1e-2)
-    exact = np.tile(np.eye(4), (len(found.edges.source), 1, 1))
-    assert found.edges.measured == pytest.approx(exact, abs=2e-2)
+    closures = loop_closure.close(stack, poses, np.zeros((5, 3)), SPACING, SETTINGS, WITH_YAW)
+    assert closures.correction[0] == pytest.approx([-1.0, -0.5, -0.05], abs=1e-2)
+    exact = np.tile(np.eye(4), (len(closures.edges.source), 1, 1))
+    assert closures.edges.measured == pytest.approx(exact, abs=2e-2)
 
 
 def test_errors_with_yaw_are_about_the_middle_of_the_source_s_points():
@@ -136,22 +136,27 @@ def test_drift_in_yaw_is_carried_on_to_where_the_next_submap_is():
     submaps, truth = sail(2, 3, apart=4.0)
     navigation = pose.matrix(np.array([0.5, -0.3, 0.0]), 0.02) @ truth
     navigation[:3] = truth[:3]  # the first line is right, all of the second is off by one motion
-    found = loop_closure.close(submaps, navigation, None, SPACING, SETTINGS, WITH_YAW)
-    assert found.node.tolist() == [4, 5]
-    first, second = np.abs(found.start - found.correction).max(axis=1)
+    closures = loop_closure.close(submaps, navigation, None, SPACING, SETTINGS, WITH_YAW)
+    assert closures.node.tolist() == [4, 5]
+    first, second = np.abs(closures.start - closures.correction).max(axis=1)
     assert second < 0.2 < 0.5 < first
-    assert np.abs(survey_graph.errors(found, truth)).max(axis=0) == pytest.approx([0, 0, 0], abs=0.2)
+    assert np.abs(survey_graph.errors(closures, truth)).max(axis=0) == pytest.approx([0, 0, 0], abs=0.2)
 
 
 def test_a_graph_with_yaw_comes_back_from_its_file_and_refuses_covariances_without():
-    _, made = graph(4, 4, registration=WITH_YAW)
-    arrays = survey_graph.to_arrays(made)
+    _, survey_graph_ = graph(4, 4, registration=WITH_YAW)
+    arrays = survey_graph.to_arrays(survey_graph_)
     again = survey_graph.to_arrays(survey_graph.from_arrays(arrays))
     assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in arrays.items()}
-    assert arrays["registration_error_truth_m"].shape == (sum(len(draw.node) for draw in made.draws), 3)
-    assert survey_graph.summary(made)["gt_truth_rmse_xyz_m"] < survey_graph.summary(made)["navigation_truth_rmse_xyz_m"]
+    assert arrays["registration_error_truth_m"].shape == (sum(len(draw.node) for draw in survey_graph_.draws), 3)
+    assert (
+        survey_graph.summary(survey_graph_)["gt_truth_rmse_xyz_m"]
+        < survey_graph.summary(survey_graph_)["navigation_truth_rmse_xyz_m"]
+    )
     with pytest.raises(survey_graph.SurveyGraphError, match="registrations have 3 dimensions"):
-        survey_graph.edge_covariances(made.number, {int(n): np.eye(2) for n in made.number}, made.closures, "toy")
+        survey_graph.edge_covariances(
+            survey_graph_.number, {int(n): np.eye(2) for n in survey_graph_.number}, survey_graph_.closures, "toy"
+        )
 
 
 def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():
@@ -160,23 +165,23 @@ def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():
     starts, errors = np.zeros((6, 2)), []
     for factor in (2.0, None):
         settings = dataclasses.replace(SETTINGS, overlap_factor=factor)
-        found = loop_closure.close(flat, truth, starts, SPACING, settings, REGISTRATION)
-        errors.append(np.abs(survey_graph.errors(found, truth)).max())
+        closures = loop_closure.close(flat, truth, starts, SPACING, settings, REGISTRATION)
+        errors.append(np.abs(survey_graph.errors(closures, truth)).max())
     assert errors[0] < 2.0 < 5.0 < errors[1]
 
 
 def test_errors_are_in_the_source_frame():
-    found, truth = close(2, 3)
+    closures, truth = close(2, 3)
     missed = truth.copy()
     missed[:, :2, 3] += np.eye(2)[0] * (np.arange(6) >= 3)[:, None]  # the whole second line, by 1 m east
-    change = survey_graph.errors(found, missed) - survey_graph.errors(found, truth)
+    change = survey_graph.errors(closures, missed) - survey_graph.errors(closures, truth)
     # that line heads west, so east is minus its x
     assert change == pytest.approx(np.tile([-1.0, 0.0], (len(change), 1)), abs=1e-9)
 
 
 def test_gt_is_closer_to_the_truth_than_navigation():
-    _, made = graph(4, 4)
-    figures = survey_graph.summary(made)
+    _, survey_graph_ = graph(4, 4)
+    figures = survey_graph.summary(survey_graph_)
     assert figures["gt_truth_rmse_xyz_m"] < 0.7 * figures["navigation_truth_rmse_xyz_m"]
 
 
@@ -187,7 +192,7 @@ def test_a_graph_comes_back_from_its_file_and_is_made_the_same_twice():
 
 
 def test_a_graph_without_truth_has_errors_that_are_not_numbers():
-    arrays = survey_graph.to_arrays(graph(known=False)[1])
+    arrays = survey_graph.to_arrays(graph(has_truth=False)[1])
     assert np.isnan(arrays["registration_error_truth_m"]).all()
     assert np.isfinite(arrays["registration_error_gt_m"]).all()
     assert survey_graph.summary(survey_graph.from_arrays(arrays))["gt_truth_rmse_xyz_m"] is None
@@ -216,23 +221,23 @@ def test_a_truth_that_does_not_reach_a_submap_is_refused():
 def test_draws_start_elsewhere_and_the_first_does_not_depend_on_how_many_there_are():
     submaps, truth = sail(2, 3)
     q = {s.number: 0.01 * np.eye(2) for s in submaps}
-    one, three = (
+    single, three = (
         graph_construction.build(
             "toy", submaps, truth, truth, q, SPACING, dataclasses.replace(SETTINGS, draws=draws), REGISTRATION
         )
         for draws in (1, 3)
     )
-    assert [len(made.draws) for made in (one, three)] == [1, 3]
-    assert three.closures.correction.tobytes() == one.closures.correction.tobytes()
+    assert [len(survey_graph_.draws) for survey_graph_ in (single, three)] == [1, 3]
+    assert three.closures.correction.tobytes() == single.closures.correction.tobytes()
     starts = [draw.start for draw in three.draws]
     assert all(np.abs(a - b).min() > 0 for a, b in itertools.combinations(starts, 2))
 
 
 def test_a_submap_without_covariance_that_closes_a_loop_is_named():
-    _, made = graph()
-    q = {int(n): np.eye(2) for n in made.number if n != made.closures.node[0]}
-    with pytest.raises(survey_graph.SurveyGraphError, match=f"submap {made.closures.node[0]} closes"):
-        survey_graph.edge_covariances(made.number, q, made.closures, "toy")
+    _, survey_graph_ = graph()
+    q = {int(n): np.eye(2) for n in survey_graph_.number if n != survey_graph_.closures.node[0]}
+    with pytest.raises(survey_graph.SurveyGraphError, match=f"submap {survey_graph_.closures.node[0]} closes"):
+        survey_graph.edge_covariances(survey_graph_.number, q, survey_graph_.closures, "toy")
 
 
 def test_submaps_without_poses_are_refused():
@@ -261,9 +266,9 @@ def test_loop_closures_are_those_of_algorithm_1_as_the_paper_writes_it(dof: str)
     closures = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, registration)
     graph: list[reference.Node] = []
     edges = []
-    for i, (one, T, start) in enumerate(zip(submaps, truth, starts, strict=True)):
+    for i, (submap, T, start) in enumerate(zip(submaps, truth, starts, strict=True)):
         perturbation = SE2.from_vector(np.pad(start, (0, 3 - len(start))))
-        added = reference.add(graph, reference.Node(one.points, T), perturbation, SPACING, SETTINGS, registration)
+        added = reference.add(graph, reference.Node(submap.points, T), perturbation, SPACING, SETTINGS, registration)
         edges += [(k, i, T_target_source) for k, T_target_source in added]
     assert len(edges) > 3
     assert closures.edges.target.tolist() == [target for target, _, _ in edges]

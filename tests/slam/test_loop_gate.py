@@ -17,41 +17,41 @@ CELL = SETTINGS.cell_factor * SPACING
 
 
 def test_coverages_are_those_of_the_footprints_pair_by_pair():
-    found = loop_gate.coverages(CLOUDS, GRAPH.truth, CELL)
+    coverages = loop_gate.coverages(CLOUDS, GRAPH.truth, CELL)
     cells = [footprint.cells(pose.transform(T, p), CELL) for T, p in zip(GRAPH.truth, CLOUDS, strict=True)]
-    assert np.diag(found).tolist() == [1.0] * len(cells)
+    assert np.diag(coverages).tolist() == [1.0] * len(cells)
     for i, k in ((7, 0), (0, 7), (8, 1), (11, 0), (3, 2)):
-        assert found[i, k] == footprint.coverage(cells[i], cells[k])
+        assert coverages[i, k] == footprint.coverage(cells[i], cells[k])
 
 
-def table(made: survey_graph.SurveyGraph = GRAPH, corrupted: list[np.ndarray] | None = None) -> pd.DataFrame:
-    return loop_gate.table(made, CLOUDS, corrupted or [], CELL, SETTINGS.coverage)
+def table(survey_graph_: survey_graph.SurveyGraph = GRAPH, corrupted: list[np.ndarray] | None = None) -> pd.DataFrame:
+    return loop_gate.table(survey_graph_, CLOUDS, corrupted or [], CELL, SETTINGS.coverage)
 
 
 def test_algorithm_1_joins_the_pairs_that_cover_but_for_those_at_the_edge():
     # a draw moves submaps a little once it has registered them
-    found = table(dataclasses.replace(GRAPH, truth=GRAPH.gt)).query("at == 'graph'")
-    assert found["draw"].tolist() == [0, 1]
-    assert (found["both"] >= 0.9 * found["joined"]).all()
-    assert (found["both"] >= 0.9 * found["covering"]).all()
+    rows = table(dataclasses.replace(GRAPH, truth=GRAPH.gt)).query("at == 'graph'")
+    assert rows["draw"].tolist() == [0, 1]
+    assert (rows["both"] >= 0.9 * rows["joined"]).all()
+    assert (rows["both"] >= 0.9 * rows["covering"]).all()
 
 
 def test_at_the_true_poses_the_gate_makes_no_mistake_and_at_others_it_does():
     far = GRAPH.truth.copy()
     far[4:8, 1, 3] += 15.0
-    found = table(corrupted=[GRAPH.truth, far]).query("at == 'corrupted'").reset_index()
-    assert found.loc[0, "joined"] == found.loc[0, "both"] == found.loc[0, "covering"] > 0
-    assert found.loc[1, "both"] < found.loc[1, "covering"]
+    rows = table(corrupted=[GRAPH.truth, far]).query("at == 'corrupted'").reset_index()
+    assert rows.loc[0, "joined"] == rows.loc[0, "both"] == rows.loc[0, "covering"] > 0
+    assert rows.loc[1, "both"] < rows.loc[1, "covering"]
 
 
 def test_a_gate_that_joined_half_is_told_so():
     edges = GRAPH.closures.edges
     some = dataclasses.replace(edges, target=edges.target[::2], source=edges.source[::2], measured=edges.measured[::2])
     half = dataclasses.replace(GRAPH, draws=(dataclasses.replace(GRAPH.closures, edges=some),))
-    asked, found = table().iloc[0], table(half).iloc[0]
-    assert found["joined"] == len(some.source)
-    assert found["covering"] == asked["covering"]
-    assert 0.4 < found["both"] / asked["both"] < 0.7
+    all_joined, half_joined = table().iloc[0], table(half).iloc[0]
+    assert half_joined["joined"] == len(some.source)
+    assert half_joined["covering"] == all_joined["covering"]
+    assert 0.4 < half_joined["both"] / all_joined["both"] < 0.7
 
 
 def test_neighbours_on_the_track_are_no_loops():
@@ -61,7 +61,7 @@ def test_neighbours_on_the_track_are_no_loops():
 
 
 def test_without_truth_only_what_was_joined_is_known():
-    found = table(dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan)))
-    assert (found["joined"] > 0).all()
-    assert found[["covering", "both"]].isna().all(axis=None)
-    assert list(found.columns) == robust_tables.GATE.names
+    rows = table(dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan)))
+    assert (rows["joined"] > 0).all()
+    assert rows[["covering", "both"]].isna().all(axis=None)
+    assert list(rows.columns) == robust_tables.GATE.names

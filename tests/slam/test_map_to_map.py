@@ -59,7 +59,7 @@ def plain(clouds: list[np.ndarray], poses: np.ndarray, cell: float, thinning: in
     keys = [footprint.keys(points[::thinning], cell) for points in placed]
     worst = {}
     for key in np.unique(np.concatenate(keys)):
-        here = [i for i, of in enumerate(keys) if key in of]
+        here = [i for i, cells in enumerate(keys) if key in cells]
         means = [
             cKDTree(placed[b]).query(placed[a][::thinning][keys[a] == key])[0].mean()
             for a in here
@@ -106,17 +106,17 @@ def test_the_order_of_the_submaps_changes_nothing():
     clouds, poses = random_map(np.random.default_rng(7))
     forth = map_to_map.MapToMap(clouds, 12.0, 1).cells(poses)
     back = map_to_map.MapToMap(clouds[::-1], 12.0, 1).cells(poses[::-1])
-    for one, other in zip(forth, back, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12)
+    for first, second in zip(forth, back, strict=True):
+        np.testing.assert_allclose(first, second, rtol=1e-12)
 
 
 def test_the_error_does_not_depend_on_the_number_of_workers(monkeypatch: pytest.MonkeyPatch):
     clouds, poses = random_map(np.random.default_rng(8))
-    found = []
+    errors = []
     for workers in ("1", "3"):
         monkeypatch.setenv("POINTNETKL_WORKERS", workers)
-        found.append(map_to_map.MapToMap(clouds, 12.0, 1).cells(poses).error_m.tobytes())
-    assert found[0] == found[1]
+        errors.append(map_to_map.MapToMap(clouds, 12.0, 1).cells(poses).error_m.tobytes())
+    assert errors[0] == errors[1]
 
 
 def test_a_cell_knows_its_column_and_row_west_and_south_of_the_origin_too():

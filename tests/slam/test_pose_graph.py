@@ -28,11 +28,11 @@ def test_q_enters_unrotated_when_the_edge_runs_from_target_to_source():
 
 
 def test_q_must_be_rotated_when_the_edge_runs_the_other_way():
-    there = closure(1, 3, CROSSING, (4.0, 4.0))
-    back = Edges(there.source, there.target, np.linalg.inv(there.measured))
+    forward = closure(1, 3, CROSSING, (4.0, 4.0))
+    backward = Edges(forward.source, forward.target, np.linalg.inv(forward.measured))
     R = CROSSING[1][:2, :2].T @ CROSSING[3][:2, :2]  # turns the source's frame to the target's
-    wrong, right = moved_by(back, LONG_X), moved_by(back, R @ LONG_X @ R.T)
-    assert right == pytest.approx(moved_by(there, LONG_X), abs=0.05)
+    wrong, right = moved_by(backward, LONG_X), moved_by(backward, R @ LONG_X @ R.T)
+    assert right == pytest.approx(moved_by(forward, LONG_X), abs=0.05)
     assert abs(wrong[0]) < 0.1 < wrong[1]
 
 
@@ -46,10 +46,10 @@ def test_yaw_s_covariance_moves_from_the_middle_of_the_points_to_the_frame_s_ori
     about_middle = np.random.default_rng(0).multivariate_normal(np.zeros(3), q, 20_000) / 100  # small: still linear
     x, y, yaw = about_middle.T
     at_origin = np.column_stack([x, y]) - (rotate(lever, yaw) - lever)
-    found = pose_graph.closure_covariances(q[None], CLOSURE, lever)[0]
+    full = pose_graph.closure_covariances(q[None], CLOSURE, lever)[0]
     expected = np.cov(np.column_stack([yaw, at_origin]).T) * 100**2
-    assert found[2:5, 2:5] == pytest.approx(expected, rel=0.05, abs=2e-4)
-    assert np.diag(found)[[0, 1, 5]] == pytest.approx([1e-4, 1e-4, 1e-4])
+    assert full[2:5, 2:5] == pytest.approx(expected, rel=0.05, abs=2e-4)
+    assert np.diag(full)[[0, 1, 5]] == pytest.approx([1e-4, 1e-4, 1e-4])
     untouched = pose_graph.closure_covariances(q[None], CLOSURE, np.zeros((1, 2)))[0]
     assert untouched[3:5, 3:5] == pytest.approx(q[:2, :2])
     assert untouched[2, [3, 4, 2]] == pytest.approx(q[2])
@@ -96,10 +96,10 @@ def test_better_covariances_of_the_closures_make_a_smaller_error():
         edges = Edges(pairs[:, 0], pairs[:, 1], between @ miss)
         turns = np.array([pose.matrix(np.zeros(3), yaw) for yaw in rng.normal(0, 0.03, 35)])
         noisy = pose_graph.between(truth) @ turns
-        for errors, given in ((right, q), (blind, np.broadcast_to(q.mean(axis=0), q.shape))):
-            graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(given, CLOSURE))
-            found = graph.optimise(noisy, DEAD_RECKONING, pose_graph.chain(truth[0], noisy))
-            errors.append(np.linalg.norm((found - truth)[:, :3, 3], axis=1).mean())
+        for errors, covariances in ((right, q), (blind, np.broadcast_to(q.mean(axis=0), q.shape))):
+            graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(covariances, CLOSURE))
+            optimised = graph.optimise(noisy, DEAD_RECKONING, pose_graph.chain(truth[0], noisy))
+            errors.append(np.linalg.norm((optimised - truth)[:, :3, 3], axis=1).mean())
     assert np.mean(right) < 0.9 * np.mean(blind)
 
 
@@ -130,11 +130,11 @@ def test_closures_are_solved_however_sure_one_direction_is(sigma: float):
     R = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).transpose(2, 0, 1)
     q = R @ np.diag([1.0, sigma**2]) @ R.transpose(0, 2, 1)
     graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(q, CLOSURE))
-    found = graph.solve(odometry)
-    left = np.linalg.inv(edges.measured) @ np.linalg.inv(found[edges.target]) @ found[edges.source]
-    sure = np.einsum("eij,ei->ej", R, left[:, :2, 3])[:, 1]
+    optimised = graph.solve(odometry)
+    residual = np.linalg.inv(edges.measured) @ np.linalg.inv(optimised[edges.target]) @ optimised[edges.source]
+    sure = np.einsum("eij,ei->ej", R, residual[:, :2, 3])[:, 1]
     assert np.abs(sure).max() < max(4 * sigma, 0.02)  # what turns of the edges leave
-    assert np.isfinite(graph.position_covariances(odometry, found)).all()
+    assert np.isfinite(graph.position_covariances(odometry, optimised)).all()
 
 
 def test_an_answer_is_at_rest_wherever_the_search_began():
@@ -158,15 +158,15 @@ def test_the_claimed_position_is_what_sampling_the_noise_finds():
     edges, truth, _ = lawnmower(rng)
     between = np.linalg.inv(truth[edges.target]) @ truth[edges.source]
     full = pose_graph.closure_covariances(np.tile(q, (27, 1, 1)), CLOSURE)
-    found = []
+    samples = []
     for _ in range(250):
         steps = pose_graph.between(truth) @ misses(rng, pose_graph.sigmas(DEAD_RECKONING)[2:5], 35)
         seen = Edges(edges.target, edges.source, between @ misses(rng, [CLOSURE.yaw_rad, 2.0, 0.5], 27))
         graph = PoseGraph(truth[0], seen, full)
         odometry = pose_graph.Odometry(steps, DEAD_RECKONING, truth)
-        found.append(graph.solve(odometry)[20, :2, 3])
+        samples.append(graph.solve(odometry)[20, :2, 3])
     claimed = graph.position_covariances(odometry, truth)[20]
-    whitened = np.linalg.solve(np.linalg.cholesky(claimed), (np.array(found) - truth[20, :2, 3]).T)
+    whitened = np.linalg.solve(np.linalg.cholesky(claimed), (np.array(samples) - truth[20, :2, 3]).T)
     assert np.cov(whitened) == pytest.approx(np.eye(2), abs=0.3)
 
 

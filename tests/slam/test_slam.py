@@ -17,11 +17,11 @@ SUBMAPS, GRAPH = graph(4, 4, apart=6.0)
 
 
 def test_noise_is_new_in_each_draw_and_repetition_and_the_same_in_each_run():
-    one = protocol.corrupt(GRAPH, 0, 1, SETTINGS)
-    assert (one == protocol.corrupt(GRAPH, 0, 1, SETTINGS)).all()
+    noisy = protocol.corrupt(GRAPH, 0, 1, SETTINGS)
+    assert (noisy == protocol.corrupt(GRAPH, 0, 1, SETTINGS)).all()
     others = [protocol.corrupt(GRAPH, draw, repetition, SETTINGS) for draw, repetition in ((0, 0), (1, 0), (1, 1))]
     others.append(protocol.corrupt(dataclasses.replace(GRAPH, survey="other"), 0, 1, SETTINGS))
-    every = np.array([one, *others])
+    every = np.array([noisy, *others])
     assert len(np.unique(every[:, 0, 0, 1])) == len(every)
 
 
@@ -36,8 +36,8 @@ def test_only_the_yaw_of_dead_reckoning_is_corrupted():
 def test_a_registration_shared_by_its_edges_counts_once():
     closures, q = GRAPH.closures, {s.number: 0.04 * np.eye(2) for s in SUBMAPS}
 
-    def x_variances(edges: str, of: survey_graph.Closures = closures) -> np.ndarray:
-        return survey_graph.full_covariances(GRAPH.number, q, of, GRAPH.closure_noise, "toy", edges)[:, 3, 3]
+    def x_variances(edges: str, closures_: survey_graph.Closures = closures) -> np.ndarray:
+        return survey_graph.full_covariances(GRAPH.number, q, closures_, GRAPH.closure_noise, "toy", edges)[:, 3, 3]
 
     assert (x_variances("all") == 0.04).all()
     # the information of its edges then adds up to that of one Q
@@ -72,24 +72,24 @@ def test_clouds_follow_the_nodes_and_a_missing_one_is_named():
 
 def test_a_floor_stands_below_every_variance():
     rows = table.from_matrices("toy", "sure", [0, 1], np.array([1e-13 * np.eye(2), np.eye(2)]))
-    found = protocol.by_method(rows, 1e-6)["sure"]
-    assert np.linalg.eigvalsh(found[0]) == pytest.approx([1e-6, 1e-6])
-    assert found[1] == pytest.approx(np.eye(2), abs=1e-5)
+    q = protocol.by_method(rows, 1e-6)["sure"]
+    assert np.linalg.eigvalsh(q[0]) == pytest.approx([1e-6, 1e-6])
+    assert q[1] == pytest.approx(np.eye(2), abs=1e-5)
 
 
 def test_the_variants_are_of_a_few_methods_and_the_table_of_all():
-    of = {each.name: each for each in protocol.variants(["odd", "constant", "network"], SETTINGS)}
-    assert of["table"].methods == ["odd", "constant", "network"]
-    assert of["shared"].methods == of["authors"].methods == ["constant", "network"]
-    assert (of["table"].edges, of["shared"].edges, of["authors"].edges) == ("all", "shared", "all")
+    by_name = {variant.name: variant for variant in protocol.variants(["odd", "constant", "network"], SETTINGS)}
+    assert by_name["table"].methods == ["odd", "constant", "network"]
+    assert by_name["shared"].methods == by_name["authors"].methods == ["constant", "network"]
+    assert (by_name["table"].edges, by_name["shared"].edges, by_name["authors"].edges) == ("all", "shared", "all")
     shared = dataclasses.replace(SETTINGS, edges="shared")
-    assert [each.name for each in protocol.variants(["network"], shared)] == ["table", "all", "authors"]
+    assert [variant.name for variant in protocol.variants(["network"], shared)] == ["table", "all", "authors"]
 
 
 def test_only_the_first_draw_has_the_paper_s_many_noises():
-    for each in protocol.variants(["network"], SETTINGS):
-        assert each.repetitions(1, SETTINGS) == 2
-        assert each.repetitions(0, SETTINGS) == (2 if each.name == "shared" else 4)
+    for variant in protocol.variants(["network"], SETTINGS):
+        assert variant.repetitions(1, SETTINGS) == 2
+        assert variant.repetitions(0, SETTINGS) == (2 if variant.name == "shared" else 4)
 
 
 @pytest.mark.parametrize(

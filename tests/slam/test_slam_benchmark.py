@@ -25,16 +25,18 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def benchmark(
-    made: survey_graph.SurveyGraph = GRAPH, settings: protocol.Settings = SETTINGS, methods: protocol.Methods = METHODS
+    survey_graph_: survey_graph.SurveyGraph = GRAPH,
+    settings: protocol.Settings = SETTINGS,
+    methods: protocol.Methods = METHODS,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return rows and trajectories, with a map error of 1 m."""
-    return slam_benchmark.benchmark(made, methods, {"map_to_map_m": lambda poses: 1.0}, settings)
+    return slam_benchmark.benchmark(survey_graph_, methods, {"map_to_map_m": lambda poses: 1.0}, settings)
 
 
 def errors(rows: pd.DataFrame, method: str, column: str = "rmse_xyz_m", variant: str = "table") -> np.ndarray:
     """Return a method's column on the first draw, by repetition."""
-    which = (rows["method"] == method) & (rows["variant"] == variant) & (rows["draw"] == 0)
-    return rows[which].sort_values("repetition")[column].to_numpy()
+    selected = (rows["method"] == method) & (rows["variant"] == variant) & (rows["draw"] == 0)
+    return rows[selected].sort_values("repetition")[column].to_numpy()
 
 
 def test_every_method_gets_the_same_noise():
@@ -51,10 +53,10 @@ def test_closures_correct_by_their_yaw_even_where_x_and_y_say_nothing():
 
 def test_with_yaw_a_covariance_that_knows_nothing_corrects_nothing():
     # the same closures, of which one method is sure, and the other not even of yaw
-    submaps, made = graph(4, 4, apart=6.0, registration=dataclasses.replace(REGISTRATION, dof="xyyaw"))
+    submaps, survey_graph_ = graph(4, 4, apart=6.0, registration=dataclasses.replace(REGISTRATION, dof="xyyaw"))
     sure = {s.number: np.diag([0.01, 0.01, 1e-5]) for s in submaps}
     methods = {"network": sure, "useless": {n: 1e8 * q for n, q in sure.items()}}
-    rows, _ = benchmark(made, methods=methods)
+    rows, _ = benchmark(survey_graph_, methods=methods)
     good, useless, corrupted = (errors(rows, name).mean() for name in ("network", "useless", "corrupted"))
     assert good < 0.6 * corrupted
     assert useless == pytest.approx(corrupted, rel=0.01)
@@ -85,7 +87,7 @@ def test_map_to_map_is_measured_in_the_first_repetitions_only():
 def test_the_freer_the_alignment_the_smaller_the_error():
     rows, _ = benchmark()
     for against in ("", "truth_"):
-        free, plane, none = (rows[f"{against}rmse_{how}_m"] for how in ("4dof", "se2", "xyz"))
+        free, plane, none = (rows[f"{against}rmse_{alignment}_m"] for alignment in ("4dof", "se2", "xyz"))
         assert (free <= plane + 1e-9).all()
         assert (plane <= none + 1e-9).all()
 
@@ -98,7 +100,7 @@ def test_trajectories_of_the_first_repetition_are_kept():
 
 
 def test_a_survey_without_truth_or_closures_still_has_rows():
-    _, line = graph(1, 3, known=False)
+    _, line = graph(1, 3, has_truth=False)
     rows, trajectories = benchmark(line)
     assert rows["truth_rmse_xyz_m"].isna().all()
     assert errors(rows, "network") == pytest.approx(errors(rows, "corrupted"), abs=1e-6)
@@ -119,9 +121,9 @@ def test_shared_edges_are_trusted_less():
 
 def test_every_draw_has_rows_of_its_own_closures_and_noise():
     rows, _ = benchmark()
-    of = rows[(rows["method"] == "network") & (rows["variant"] == "table")]
-    assert of.groupby("draw").size().tolist() == [4, 2]
-    assert of["rmse_xyz_m"].nunique() == 6
+    network = rows[(rows["method"] == "network") & (rows["variant"] == "table")]
+    assert network.groupby("draw").size().tolist() == [4, 2]
+    assert network["rmse_xyz_m"].nunique() == 6
     noise = rows[rows["method"] == "corrupted"]
     assert noise["rmse_xyz_m"].nunique() == len(noise) == 6
 
@@ -142,10 +144,10 @@ def test_rows_do_not_depend_on_the_number_of_workers(monkeypatch: pytest.MonkeyP
 
 def test_what_cannot_be_solved_has_no_number_and_is_told(monkeypatch: pytest.MonkeyPatch):
     solve = pose_graph.PoseGraph.solve
-    left = iter([True] * 5 + [False] + [True] * 100)
+    solved = iter([True] * 5 + [False] + [True] * 100)
 
     def sometimes(self: pose_graph.PoseGraph, odometry: pose_graph.Odometry) -> np.ndarray:
-        if next(left):
+        if next(solved):
             return solve(self, odometry)
         raise pose_graph.PoseGraphError("no")
 

@@ -27,8 +27,8 @@ def test_moving_and_turning_the_whole_map_leaves_the_aligned_errors_and_those_of
 def test_a_map_too_deep_is_wrong_in_the_plane_s_alignment_only_by_its_depth():
     sunk = GRAPH.gt.copy()
     sunk[:, 2, 3] -= 3.0
-    found = slam_errors.errors(GRAPH, EDGES, sunk)
-    assert (found["rmse_se2_m"], found["rmse_4dof_m"]) == (pytest.approx(3.0), pytest.approx(0.0, abs=1e-9))
+    errors = slam_errors.errors(GRAPH, EDGES, sunk)
+    assert (errors["rmse_se2_m"], errors["rmse_4dof_m"]) == (pytest.approx(3.0), pytest.approx(0.0, abs=1e-9))
 
 
 def test_the_error_of_pairs_is_that_of_their_relative_position():
@@ -42,8 +42,8 @@ def test_the_error_of_pairs_is_that_of_their_relative_position():
 
 def test_without_truth_or_pairs_nothing_is_known():
     unknown = dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan))
-    found = slam_errors.errors(unknown, EDGES, BENT)
-    assert all(np.isnan(value) == name.startswith("truth_") for name, value in found.items())
+    errors = slam_errors.errors(unknown, EDGES, BENT)
+    assert all(np.isnan(value) == name.startswith("truth_") for name, value in errors.items())
     none = dataclasses.replace(EDGES, target=EDGES.target[:0], source=EDGES.source[:0], measured=EDGES.measured[:0])
     assert np.isnan(slam_errors.relative_error(none, BENT, GRAPH.truth))
 
