@@ -29,12 +29,13 @@ from pointnetkl.workflow import study as studies
 
 def main(arguments: argparse.Namespace) -> None:
     """Judge every survey, then leave out one class after the other."""
-    params, folders = arguments.params, results.Folders(arguments.data, Path("models"), Path("reports"))
+    params = arguments.params
+    folders = results.Folders(arguments.data, Path("models"), Path("reports"), studies.read(params))
     chosen = parameters.read(params, "report", results.Settings)
-    study = studies.read(params)
+    study = folders.study
     simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
-    known = [name for name in study.train if (folders.data / f"training/{name}").is_dir()]
+    known = [name for name in study.train if (folders.data / "train" / name).is_dir()]
     slopes = {name: of_survey(folders, name, simulate) for name in [*known, *judged]}
     classes, trained = terrain.of_surveys(slopes, known, chosen.terrain_classes)
     numbers = {
@@ -53,21 +54,21 @@ def main(arguments: argparse.Namespace) -> None:
 
 def complete(folders: results.Folders, name: str) -> bool:
     """Whether a survey has labels and both covariance tables."""
-    return all((folders.data / f"covariances/{name}_{kind}.parquet").exists() for kind in ("estimated", "predicted"))
+    return all(folders.product(name, f"{kind}.parquet").exists() for kind in ("estimated", "predicted"))
 
 
 def read(folders: results.Folders, name: str) -> Judged:
     """Read a survey's labels, covariances and held-out errors."""
     labels = results.read_labels(folders, name)
     tables = [
-        artifacts.read_table(folders.data / f"covariances/{name}_{kind}.parquet", table.SCHEMA, also=table.YAW)
+        artifacts.read_table(folders.product(name, f"{kind}.parquet"), table.SCHEMA, also=table.YAW)
         for kind in ("estimated", "predicted")
     ]
     covariances = {
         str(method): table.to_matrices(rows.sort_values("submap"))
         for method, rows in pd.concat(tables).groupby("method", sort=False)
     }
-    held_out = artifacts.read_arrays(folders.data / f"labels/{name}_errors.npz")[0]["held_out"]
+    held_out = artifacts.read_arrays(folders.product(name, "errors.npz"))[0]["held_out"]
     return Judged(labels.q, covariances, held_out)
 
 
@@ -105,11 +106,11 @@ def left_out(
     """Return mean KL on each class of `network` that was trained without it, beside one trained with all."""
     stored = model_file.read(arguments.network)
     how = parameters.read(arguments.params, "models.network.train", training.Settings)
-    samples, _ = dataset.read(arguments.data / "training", known)
+    samples, _ = dataset.read(arguments.data / "train", known)
     describe = stored.model.describe
     if describe is None:
         raise SystemExit(f"{arguments.network}: holds a model of the kind {stored.kind}, must be mean_field")
-    samples = dataset.with_descriptions(arguments.data / "training", samples, describe)
+    samples = dataset.with_descriptions(arguments.data / "train", samples, describe)
     of_sample = np.concatenate([classes[name] for name in known])
     seen = {name: np.stack([describe(points) for points in results.read_points(folders, name)[0]]) for name in judged}
     rows = []

@@ -11,22 +11,14 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 
 def main(arguments: argparse.Namespace) -> None:
     """Read every stage's artifacts, write the report, print what matters most of it."""
-    chosen = parameters.read(arguments.params, "report", results.Settings)
+    settings = parameters.read(arguments.params, "report", results.Settings)
     simulate = parameters.read(arguments.params, "simulate", dict[str, simulation.Settings])
-    folders = Folders(arguments.data, arguments.models, arguments.reports)
-    studied = study.read(arguments.params)
-    made = report.make(folders, studied, simulate, chosen)
-    cards = {f"models/{name}.md": card(folders, name, studied).encode() for name in studied.models}
-    for name, content in (made.files | cards).items():
+    folders = Folders(arguments.data, arguments.models, arguments.reports, study.read(arguments.params))
+    made = report.make(folders, simulate, settings)
+    for name, content in {**made.files, **model_card.files(folders)}.items():
         artifacts.write_bytes(arguments.reports / name, content)
     print(*made.lines, sep="\n")
     print(f"The report: {arguments.reports / 'index.html'}")
-
-
-def card(folders: Folders, model: str, studied: study.Study) -> str:
-    """Return a trained model's card, from what its training says of it."""
-    summary = model_card.read(folders.reports / f"train/{model}.json")
-    return model_card.text(model, summary, studied.train)
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def write(root: Path) -> None:
 def _parameters() -> dict[str, object]:
     lines = {
         name: {
-            "group": "train" if name in TRAIN else "test",
+            "group": _group(name),
             "raw": f"data/raw/{name}",
             "truth": "data/none",
             "submap_length_m": 60,
@@ -88,6 +88,14 @@ def _simulation(name: str) -> dict[str, object]:
     place = {"crs": CRS, "centre_m": [0.0, 0.0], "layout": {**layout, "azimuth_deg": 0.0}, "altitude_m": 20.0}
     how = {"seed": len(name), "vehicle": "hugin", "grid": "data/none", "ping_spacing_m": 2.0, "beam_spacing_m": 2.0}
     return {**how, **place, "terrain": terrain}
+
+
+def _group(name: str) -> str:
+    return "train" if name in TRAIN else "test"
+
+
+def _products(data: Path, name: str) -> Path:
+    return data / _group(name) / name
 
 
 def _rng(name: str) -> np.random.Generator:
@@ -150,11 +158,11 @@ def _write_survey(data: Path, fake: Fake) -> None:
         {},
     )
     submaps = [submap.Submap(fake.name, i, p, p[::2], p[1::2]) for i, p in enumerate(fake.clouds)]
-    artifacts.write_table(data / f"submaps/{fake.name}.parquet", submap.to_table(submaps), submap.POINTS, {})
-    artifacts.write_table(data / f"submaps/{fake.name}_poses.parquet", poses, submap.POSES, {"dropped": _DROPPED})
+    artifacts.write_table(_products(data, fake.name) / "submaps.parquet", submap.to_table(submaps), submap.POINTS, {})
+    artifacts.write_table(_products(data, fake.name) / "poses.parquet", poses, submap.POSES, {"dropped": _DROPPED})
     unit = [voxel.normalised(points) for points in fake.clouds]
     clouds = voxel.Clouds.of(range(len(unit)), [voxel.Canonical(p.astype(np.float32), r) for p, r in unit])
-    artifacts.write_arrays(data / f"clouds/{fake.name}.npz", clouds.to_arrays(), {})
+    artifacts.write_arrays(_products(data, fake.name) / "clouds.npz", clouds.to_arrays(), {})
 
 
 def _write_labels(data: Path, fake: Fake) -> None:
@@ -163,10 +171,10 @@ def _write_labels(data: Path, fake: Fake) -> None:
         submap=range(k), runs=50, spacing_m=2.3, self_matching=False, **_columns(fake.q), **_WENT
     )
     label = {"copy": "same", "noise_sigma_m": 0.2, "prior_variance_m2": 9.0}
-    artifacts.write_table(data / f"labels/{fake.name}.parquet", rows, label_table.LABELS, {"label": label})
+    artifacts.write_table(_products(data, fake.name) / "labels.parquet", rows, label_table.LABELS, {"label": label})
     draws = np.einsum("kij,klj->kli", np.linalg.cholesky(fake.q), rng.normal(size=(k, HELD_OUT, 2)))
     samples = {"submap": np.arange(k, dtype=np.int32), "errors": draws, "held_out": draws}
-    artifacts.write_arrays(data / f"labels/{fake.name}_errors.npz", samples, {})
+    artifacts.write_arrays(_products(data, fake.name) / "errors.npz", samples, {})
 
 
 def _write_variations(data: Path, fake: Fake) -> None:
@@ -181,7 +189,7 @@ def _write_variations(data: Path, fake: Fake) -> None:
             for copy in ("same", "split")
             for sigma, cell in ((0.0, 4.0), (0.1, 4.0), (0.2, 4.0), (0.2, 8.0))
         ]
-    path = data / f"variations/{fake.name}.parquet"
+    path = _products(data, fake.name) / "variations.parquet"
     artifacts.write_table(path, pd.DataFrame(rows).assign(**_WENT), label_table.VARIATIONS, {})
 
 
@@ -209,7 +217,7 @@ def _write_test(root: Path, fake: Fake) -> None:
     )
     for stage, methods in (("estimated", METHODS[:3]), ("predicted", METHODS[3:])):
         rows = [table.from_matrices(fake.name, method, numbers, q[method]) for method in methods]
-        path = root / f"data/covariances/{fake.name}_{stage}.parquet"
+        path = root / f"data/test/{fake.name}/{stage}.parquet"
         artifacts.write_table(path, pd.concat(rows), table.SCHEMA, {})
     own = fake.name == "mine"
     gt = np.array([pose.matrix(np.array(row[2:5], float), row[5]) for row in fake.poses.itertuples(index=False)])
@@ -219,8 +227,8 @@ def _write_test(root: Path, fake: Fake) -> None:
     graph = {"number": np.array(numbers), "gt": gt, "edge_target": edges[:, 0], "edge_source": edges[:, 1]}
     graph |= {"registration_node": edges[:, 1], "registration_error_truth_m": e}
     graph |= {"edge_draw": none, "registration_draw": none}
-    artifacts.write_arrays(root / f"data/graphs/{fake.name}.npz", graph, {})
-    _write_closures(root / "data/closures", fake, edges[:, 1])
+    artifacts.write_arrays(root / f"data/test/{fake.name}/graph.npz", graph, {})
+    _write_closures(root / f"data/test/{fake.name}", fake, edges[:, 1])
     _write_slam(root / "reports/slam", fake, gt, truth=not own)
     _write_robustness(root / "reports/robustness", fake, len(edges))
 
@@ -234,10 +242,10 @@ def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
     columns = {f"{kind}_{axis}_m": e[:, i] for kind, e in errors.items() for i, axis in enumerate("xy")}
     which = {"draw": np.repeat(range(DRAWS), len(sources)), "submap": submaps, "targets": 1, "converged": True}
     table_ = rows.assign(survey=fake.name, **which, **columns)
-    artifacts.write_table(folder / f"{fake.name}.parquet", table_, closure_tables.CLOSURES, {})
+    artifacts.write_table(folder / "closures.parquet", table_, closure_tables.CLOSURES, {})
     covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
     covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
-    artifacts.write_table(folder / f"{fake.name}_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
+    artifacts.write_table(folder / "closure_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
 
 
 def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:

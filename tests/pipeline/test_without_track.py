@@ -114,7 +114,7 @@ def lose_track(root: Path, name: str) -> None:
     place = root / f"data/surveys/{name}/pings.parquet"
     kept = artifacts.table_metadata(place)
     artifacts.write_table(place, survey.PINGS.empty_table().to_pandas(), survey.PINGS, {**kept, "kind": "points"})
-    place = root / f"data/graphs/{name}.npz"
+    place = root / f"data/test/{name}/graph.npz"
     arrays, _ = artifacts.read_arrays(place)
     artifacts.write_arrays(place, {**arrays, "track": np.array(False)}, {})
     for path, schema in (
@@ -130,10 +130,10 @@ def lose_track(root: Path, name: str) -> None:
 def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     fake_artifacts.write(tmp_path)
     lose_track(tmp_path, "mine")  # of which no loop closures are known
-    folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports")
     params = tmp_path / "params.yaml"
+    folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports", study.read(params))
     simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
-    made = report.make(folders, study.read(params), simulate, parameters.read(params, "report", results.Settings))
+    made = report.make(folders, simulate, parameters.read(params, "report", results.Settings))
     numbers = json.loads(made.files["metrics.json"])
     assert numbers["slam"]["mine"] == {"dead_reckoning_edges": 0, "loop_closures": 0}
     assert numbers["kl"]["mine"]["network"]["mean"] >= 0

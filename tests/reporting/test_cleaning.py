@@ -12,6 +12,7 @@ from pointnetkl.reporting.results import Folders
 from pointnetkl.reporting.surveys import tables as survey_tables
 from pointnetkl.reporting.surveys import words as survey_words
 from pointnetkl.reporting.text_table import Block
+from pointnetkl.workflow import study
 from small_survey import sail
 
 DATASETS = {name: {"simulated": name != "mine"} for name in (*fake_artifacts.TRAIN, *fake_artifacts.TEST)}
@@ -22,7 +23,9 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> list[Block]:
     """The tables of a made-up study."""
     root = tmp_path_factory.mktemp("fake")
     fake_artifacts.write(root)
-    return survey_tables.cleaning(survey_tables.read(Folders(root / "data", root, root), DATASETS), DATASETS)
+    return survey_tables.cleaning(
+        survey_tables.read(Folders(root / "data", root, root, study.read(root / "params.yaml"))), DATASETS
+    )
 
 
 def test_every_survey_has_a_row_also_those_that_are_only_trained_on(blocks: list[Block]):

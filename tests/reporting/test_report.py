@@ -19,9 +19,7 @@ from pointnetkl.registration.covariance import gaussian, label_table
 from pointnetkl.reporting import report, results, terrain
 from pointnetkl.reporting.covariances import numbers as covariances
 from pointnetkl.reporting.covariances import tables as covariance_tables
-from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.surveys import numbers as surveys
-from pointnetkl.slam.benchmark import tables as slam_tables
 from pointnetkl.workflow import artifacts, parameters, study
 
 UNTIMED = re.compile(r"table_3|index\.html|accuracy_time|cost_accuracy")
@@ -35,18 +33,22 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def folders_of(folder: Path) -> results.Folders:
+    """Return where a folder's artifacts are."""
+    return results.Folders(folder / "data", folder / "models", folder / "reports", study.read(folder / "params.yaml"))
+
+
 @pytest.fixture(scope="module")
 def folders(root: Path) -> results.Folders:
     """Where its artifacts are."""
-    return results.Folders(root / "data", root / "models", root / "reports")
+    return folders_of(root)
 
 
 def make(folder: Path) -> report.Report:
     """Return the report of a folder's artifacts."""
     params = folder / "params.yaml"
     return report.make(
-        results.Folders(folder / "data", folder / "models", folder / "reports"),
-        study.read(params),
+        folders_of(folder),
         parameters.read(params, "simulate", dict[str, simulation.Settings]),
         parameters.read(params, "report", results.Settings),
     )
@@ -195,8 +197,8 @@ def test_only_what_simulate_made_is_simulated(raw: str, entry: str | None):
 @pytest.mark.parametrize(
     "name",
     [
-        "data/labels/baltic.parquet",
-        "data/variations/mine.parquet",
+        "data/train/baltic/labels.parquet",
+        "data/test/mine/variations.parquet",
         "reports/slam/mine.parquet",
         "reports/runtime.json",
         "models/fits.json",
@@ -209,10 +211,10 @@ def test_a_missing_artifact_is_named_before_anything_is_made(copy: Path, name: s
 
 
 def test_covariances_of_other_submaps_than_the_labels_are_refused(copy: Path):
-    path = copy / "data/labels/borno_8.parquet"
+    path = copy / "data/test/borno_8/labels.parquet"
     rows = artifacts.read_table(path, label_table.LABELS)
     artifacts.write_table(path, rows.iloc[:-1], label_table.LABELS, artifacts.table_metadata(path))
-    with pytest.raises(results.ResultsError, match=r"borno_8_estimated.*18 submaps.*17 labels"):
+    with pytest.raises(results.ResultsError, match=r"borno_8/estimated.*18 submaps.*17 labels"):
         make(copy)
 
 
@@ -269,11 +271,3 @@ def test_the_report_makes_the_files_and_folders_that_dvc_yaml_names(made: report
 def test_every_method_but_the_labels_own_has_a_page_of_its_worst_submaps(made: report.Report):
     pages = {name.removesuffix(".png") for name in made.files if name.startswith("figures/worst/")}
     assert pages == {f"figures/worst/{name}" for name in fake_artifacts.METHODS if name != "monte_carlo"}
-
-
-def test_what_is_read_of_a_table_is_what_its_stage_writes():
-    assert set(results.LABELS.names) <= set(label_table.LABELS.names)
-    assert set(results.VARIATIONS.names) <= set(label_table.VARIATIONS.names)
-    assert (label_study.RUNS, label_study.CONDITIONS) == (label_table.RUNS, label_table.CONDITIONS)
-    assert set(results.SLAM.names) <= set(slam_tables.ROWS.names)
-    assert set(results.TRAJECTORIES.names) <= set(slam_tables.TRAJECTORIES.names)

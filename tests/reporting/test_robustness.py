@@ -10,7 +10,6 @@ import pytest
 import fake_artifacts
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.drawing import plots
-from pointnetkl.reporting.results import Folders
 from pointnetkl.reporting.robustness import figures as robustness_plots
 from pointnetkl.reporting.robustness import numbers as robustness
 from pointnetkl.reporting.robustness import tables as robustness_tables
@@ -24,7 +23,7 @@ DATASETS = {"borno_8": {"simulated": True}, "mine": {"simulated": False}}
 def found(tmp_path_factory: pytest.TempPathFactory) -> StressTest:
     root = tmp_path_factory.mktemp("study")
     fake_artifacts.write(root)
-    return robustness.read(Folders(root / "data", root / "models", root / "reports"), fake_artifacts.TEST)
+    return robustness.read(root / "reports", fake_artifacts.TEST)
 
 
 def cells(rows: pd.DataFrame, **which: object) -> pd.Series:
@@ -154,5 +153,5 @@ def test_a_survey_without_loop_closures_has_no_panels(found: StressTest):
 
 
 def test_a_study_without_test_surveys_has_empty_tables(tmp_path: Path):
-    nothing = robustness.read(Folders(tmp_path, tmp_path, tmp_path), [])
+    nothing = robustness.read(tmp_path, [])
     assert robustness.numbers(nothing) == {"robustness": {}, "loop_gate": {}}

@@ -8,9 +8,10 @@ from pointnetkl.reporting import results, terrain
 from pointnetkl.reporting.covariances import method_plots
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.slam import numbers as slam_numbers
+from pointnetkl.slam.benchmark.tables import TRAJECTORIES
 
 SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
-ERRORS = results.SLAM.names[4:]
+ERRORS = [*slam_numbers.ERRORS, "truth_relative_m"]
 OFF = {"network": 0.0, "constant": 0.5, "censi": 40.0, "hessian": 0.1, "cello": 0.2, "mean_field": 0.3}
 
 
@@ -31,7 +32,7 @@ def rows(first: int = 5, noise: float = 0.0) -> pd.DataFrame:
 
 def benchmark(rows: pd.DataFrame) -> results.Test:
     """Return a test survey with these rows of the benchmark."""
-    none, trajectories = np.empty(0), pd.DataFrame(columns=results.TRAJECTORIES.names)
+    none, trajectories = np.empty(0), pd.DataFrame(columns=TRAJECTORIES.names)
     return results.Test({}, none, rows, trajectories, np.tile(np.eye(4), (9, 1, 1)), np.zeros((7, 2)), none, none)
 
 

@@ -11,7 +11,10 @@ from pointnetkl.reporting.slam import numbers as slam_summary
 from pointnetkl.reporting.slam import tables as slam_tables
 from pointnetkl.reporting.slam import words as slam_story
 from pointnetkl.reporting.text_table import Block
+from pointnetkl.slam.benchmark.tables import TRAJECTORIES
 
+RUN = ["variant", "method", "draw", "repetition"]
+ERRORS = [*slam_summary.ERRORS, "truth_relative_m"]
 SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DRAWS, MANY, FEW = 8, 40, 5
 DATASETS = {"toy": {"simulated": True, "track_km": 1.0}}
@@ -26,15 +29,15 @@ def rows(seed: int = 0, better_m: float = 0.1) -> pd.DataFrame:
             error = of_draw[draw] + rng.normal(0, 2)
             for method, more in (("network", 0.0), ("constant", better_m + rng.normal(0, 0.03)), ("twin", 0.0)):
                 which = {"variant": "table", "method": method, "draw": draw, "repetition": repetition}
-                made.append({**which, **dict.fromkeys(results.SLAM.names[4:], error + more)})
+                made.append({**which, **dict.fromkeys(ERRORS, error + more)})
                 if method == "constant":
-                    made.append({**made[-1], "variant": "authors", **dict.fromkeys(results.SLAM.names[4:], error + 5)})
-    return pd.DataFrame(made)[results.SLAM.names]
+                    made.append({**made[-1], "variant": "authors", **dict.fromkeys(ERRORS, error + 5)})
+    return pd.DataFrame(made)[RUN + ERRORS]
 
 
 def of(table: pd.DataFrame) -> results.Test:
     """Return a test survey with these rows, and 7 loop closures."""
-    trajectories = pd.DataFrame(columns=results.TRAJECTORIES.names)
+    trajectories = pd.DataFrame(columns=TRAJECTORIES.names)
     poses, edges, none = np.tile(np.eye(4), (9, 1, 1)), np.zeros((7, 2)), np.empty(0)
     return results.Test({}, none, table, trajectories, poses, edges, none, none)
 
@@ -87,7 +90,7 @@ def test_a_twin_of_network_is_no_better_and_no_test_says_so():
 def test_a_repetition_without_solution_leaves_its_pair_out():
     table = rows()
     lost = (table["method"] == "constant") & (table["draw"] == 2) & (table["repetition"] == 0)
-    table.loc[lost, results.SLAM.names[4:]] = np.nan
+    table.loc[lost, ERRORS] = np.nan
     found = slam_summary.summarise("toy", of(table), SETTINGS)["constant"]
     assert found["network_minus_m"] == pytest.approx(FOUND["constant"]["network_minus_m"], abs=0.01)
     assert found["network_p"] < 1e-4
@@ -96,7 +99,7 @@ def test_a_repetition_without_solution_leaves_its_pair_out():
 def test_navigation_which_no_noise_touches_is_compared_with_nothing():
     alone = table_rows("twin").head(1).assign(method="navigation")
     found = slam_summary.summarise("toy", of(pd.concat([TEST.slam, alone])), SETTINGS)
-    assert set(found["navigation"]) == set(results.SLAM_ERRORS)
+    assert set(found["navigation"]) == set(slam_summary.ERRORS)
 
 
 def test_one_draw_has_means_and_no_test():

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pointnetkl.reporting.results import Folders
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import StudySurvey
@@ -48,6 +49,16 @@ def read(path: Path) -> dict[str, Any]:
     if missing := [key for key in _NEEDED if key not in summary]:
         raise ModelCardError(f"{path}: has no {missing[0]}; run dvc repro train@{path.stem}")
     return summary
+
+
+def files(folders: Folders) -> dict[str, bytes]:
+    """Return the card of each model of the study, by path below the folder of reports.
+
+    Raises:
+        ModelCardError: a summary lacks a part, or is of another training.
+    """
+    summaries = {name: read(folders.reports / f"train/{name}.json") for name in folders.study.models}
+    return {f"models/{name}.md": text(name, each, folders.study.train).encode() for name, each in summaries.items()}
 
 
 def text(name: str, summary: Mapping[str, Any], surveys: Mapping[str, StudySurvey]) -> str:

@@ -21,6 +21,7 @@ from pointnetkl.reporting.covariances import tables as covariance_tables
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.labels import figures as label_figures
 from pointnetkl.reporting.labels import tables as label_tables
+from pointnetkl.reporting.labels import training
 from pointnetkl.reporting.results import Folders, Labels, Settings, Test
 from pointnetkl.reporting.robustness import figures as robustness_figures
 from pointnetkl.reporting.robustness import numbers as robustness
@@ -71,17 +72,17 @@ class _Artifacts:
     cleaned: Mapping[str, Mapping[str, Any]]  # survey_tables.read
 
 
-def make(folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
-    """Return the whole report of a study.
+def make(folders: Folders, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
+    """Return the whole report of the folders' study.
 
     Raises:
         ResultsError, ArtifactError: an artifact is missing, damaged, or does not belong to the others.
     """
-    folders.demand(study)
-    read = _read(folders, study, settings)
-    numbers = _numbers(folders, study, simulate, read, settings)
+    folders.demand()
+    study, read = folders.study, _read(folders, settings)
+    numbers = _numbers(folders, simulate, read, settings)
     tables = _tables(numbers, study, read)
-    drawn = dict(_figures(folders, study, read, numbers, tables, settings))
+    drawn = dict(_figures(folders, read, numbers, tables, settings))
     copies = {name: str(each.parameters["label"]["copy"]) for name, each in read.labels.items()}
     sections = words.sections(tables, numbers, copies)
     lead = words.lead(study, numbers["datasets"], read.labels, read.tests)
@@ -113,7 +114,8 @@ def known_only(numbers: Numbers) -> dict[str, Any]:
     return {key: value for key, value in kept.items() if value is not None and value != {}}
 
 
-def _read(folders: Folders, study: Study, settings: Settings) -> _Artifacts:
+def _read(folders: Folders, settings: Settings) -> _Artifacts:
+    study = folders.study
     labels = {name: results.read_labels(folders, name) for name in study.surveys}
     tests = {name: results.read_test(folders, name, labels[name]) for name in study.test}
     return _Artifacts(
@@ -121,20 +123,20 @@ def _read(folders: Folders, study: Study, settings: Settings) -> _Artifacts:
         canonical={name: results.read_canonical(folders, name) for name in study.surveys},
         tests=tests,
         closures={name: closures.read(folders, name, labels[name], test) for name, test in tests.items()},
-        training=results.read_training(folders, study.models, settings.kl_floor_m2),
-        losses=results.read_losses(folders, study.models),
+        training=training.read_divergences(folders, settings.kl_floor_m2),
+        losses=training.read_losses(folders),
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
-        variations=results.read_variations(folders, study),
+        variations=results.read_variations(folders),
         map_thinning=slam_tables.read_thinning(folders.reports / "slam", study.test),
-        robustness=robustness.read(folders, study.test),
-        cleaned=survey_tables.read(folders, study.surveys),
+        robustness=robustness.read(folders.reports, study.test),
+        cleaned=survey_tables.read(folders),
     )
 
 
 def _numbers(
-    folders: Folders, study: Study, simulate: Mapping[str, simulation.Settings], read: _Artifacts, settings: Settings
+    folders: Folders, simulate: Mapping[str, simulation.Settings], read: _Artifacts, settings: Settings
 ) -> dict[str, Any]:
-    datasets, slopes = {}, {}
+    study, datasets, slopes = folders.study, {}, {}
     for name, line in study.surveys.items():
         clouds, poses = results.read_points(folders, name)
         entry = surveys.simulated_from(line.raw, simulate)
@@ -204,7 +206,7 @@ def _table_files(tables: Blocks) -> Iterator[tuple[str, bytes]]:
 
 
 def _figures(
-    folders: Folders, study: Study, read: _Artifacts, numbers: Numbers, tables: Blocks, settings: Settings
+    folders: Folders, read: _Artifacts, numbers: Numbers, tables: Blocks, settings: Settings
 ) -> Iterator[tuple[str, bytes]]:
     rng = np.random.default_rng(settings.seed)
     floor_m2 = settings.kl_floor_m2
@@ -216,7 +218,7 @@ def _figures(
     ]
     with_track = [name for name, test in read.tests.items() if test.track]
     sections = (
-        survey_figures.every(folders, next(iter(study.train)), read.canonical, rng),
+        survey_figures.every(folders, next(iter(folders.study.train)), read.canonical, rng),
         label_figures.every(read.labels, read.variations, read.losses, read.runtime, floor_m2),
         covariance_figures.every(judged, frames["kl"], frames["calibration"], read.runtime),
         closure_figures.every(frames["calibration_lc"], read.closures),

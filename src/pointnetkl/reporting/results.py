@@ -1,19 +1,17 @@
-"""What the report is made from: every stage's artifacts, found by survey, read and brought together.
+"""What the report is made from: every stage's artifacts, read by survey and brought together."""
 
-Only the columns that a report needs are asked of a table, so that a stage may add to its own.
-"""
-
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance.label_table import LABELS, VARIATIONS
 from pointnetkl.reporting import terrain
+from pointnetkl.slam.benchmark.tables import ROWS, TRAJECTORIES
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import submap, survey, voxel
 from pointnetkl.workflow import artifacts
@@ -23,46 +21,15 @@ from pointnetkl.workflow.study import Study
 GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
 OURS = "network"  # whom the others are compared with, pair by pair
 
-_COVARIANCE = [(name, pa.float64()) for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")]
-_WENT = [  # how a label's registrations went
-    *[(name, pa.float64()) for name in ("relative_error", "mean_x_m", "mean_y_m")],
-    *[(name, pa.float64()) for name in ("converged_share", "main_basin_share", "iterations_mean")],
-]
-_LABEL = [("submap", pa.int32()), ("runs", pa.int32()), ("spacing_m", pa.float64()), *_COVARIANCE, *_WENT]
-LABELS = pa.schema([*_LABEL, ("self_matching", pa.bool_())])
-_VARIED = [("noise_sigma_m", pa.float64()), ("cell_m", pa.float64()), ("points", pa.int32())]
-VARIATIONS = pa.schema([*((name, pa.string()) for name in ("survey", "study", "copy")), *_VARIED, *_LABEL])
-_RMSES = [f"{against}rmse_{aligned}_m" for against in ("", "truth_") for aligned in ("xyz", "se2", "4dof")]
-SLAM_ERRORS = (*_RMSES, "map_to_map_m", "map_to_map_auvlib_m", "pose_nees")  # of one solution
-_RUN = [("variant", pa.string()), ("method", pa.string()), ("draw", pa.int32()), ("repetition", pa.int32())]
-SLAM = pa.schema([*_RUN, *((name, pa.float64()) for name in (*SLAM_ERRORS, "truth_relative_m"))])
-TRAJECTORIES = pa.schema(
-    [("which", pa.string()), ("submap", pa.int32()), *((n, pa.float64()) for n in ("x_m", "y_m", "z_m", "yaw_rad"))]
-)
-_EVERY = (
-    "surveys/{}/pings.parquet",
-    "surveys/{}/soundings.parquet",
-    "submaps/{}.parquet",
-    "submaps/{}_poses.parquet",
-    "clouds/{}.npz",
-    "labels/{}.parquet",
-    "labels/{}_errors.npz",
-)
+_SURVEY = ("pings.parquet", "soundings.parquet")
+_CUT = ("submaps.parquet", "poses.parquet", "clouds.npz", "labels.parquet", "errors.npz")
 _TESTED = (
-    "variations/{}.parquet",
-    "covariances/{}_estimated.parquet",
-    "covariances/{}_predicted.parquet",
-    "graphs/{}.npz",
-    "closures/{}.parquet",
-    "closures/{}_covariances.parquet",
+    *("variations.parquet", "estimated.parquet", "predicted.parquet"),
+    *("graph.npz", "closures.parquet", "closure_covariances.parquet"),
 )
-_SLAM = (
-    "slam/{}.parquet",
-    "slam/{}_trajectories.parquet",
-    "slam/{}_consistency.tif",
-    "slam/{}_map_thinning.parquet",
-    "robustness/{}.parquet",
-    "robustness/{}_gate.parquet",
+_SOLVED = (
+    *("slam/{}.parquet", "slam/{}_trajectories.parquet", "slam/{}_consistency.tif", "slam/{}_map_thinning.parquet"),
+    *("robustness/{}.parquet", "robustness/{}_gate.parquet"),
 )
 _TRAINED = ("train/{}.csv", "train/{}.json")
 
@@ -84,31 +51,41 @@ class Settings:
 
 @dataclass(frozen=True)
 class Folders:
-    """Where the stages' artifacts are."""
+    """A study, and the folders that its stages write to."""
 
     data: Path
     models: Path
     reports: Path
+    study: Study
 
-    def expected(self, study: Study) -> Iterator[Path]:
+    def survey(self, name: str, file: str) -> Path:
+        """Return where stage ingest writes a file of a survey."""
+        return self.data / "surveys" / name / file
+
+    def product(self, name: str, file: str) -> Path:
+        """Return where the stages after it write a file of a survey of the study."""
+        return self.data / self.study.surveys[name].group / name / file
+
+    def expected(self) -> Iterator[Path]:
         """Yield every file that a report of the study is made from."""
-        for name in study.surveys:
-            yield from (self.data / each.format(name) for each in _EVERY)
-        for name in study.test:
-            yield from (self.data / each.format(name) for each in _TESTED)
-            yield from (self.reports / each.format(name) for each in _SLAM)
-        for name in study.models:
-            yield from (self.reports / each.format(name) for each in _TRAINED)
+        for name in self.study.surveys:
+            yield from (self.survey(name, file) for file in _SURVEY)
+            yield from (self.product(name, file) for file in _CUT)
+        for name in self.study.test:
+            yield from (self.product(name, file) for file in _TESTED)
+            yield from (self.reports / file.format(name) for file in _SOLVED)
+        for name in self.study.models:
+            yield from (self.reports / file.format(name) for file in _TRAINED)
         yield self.reports / "runtime.json"
         yield self.models / "fits.json"
 
-    def demand(self, study: Study) -> None:
+    def demand(self) -> None:
         """Refuse to begin while an artifact is missing.
 
         Raises:
             ResultsError: names the first one.
         """
-        missing = [path for path in self.expected(study) if not path.is_file()]
+        missing = [path for path in self.expected() if not path.is_file()]
         if missing:
             raise ResultsError(
                 f"{missing[0]}: is missing, and {len(missing) - 1} more of the files that the surveys of"
@@ -124,7 +101,7 @@ class Labels:
     q: np.ndarray  # (k, M, M) in m and rad
     spacing_m: np.ndarray  # (k,) median distance of a point to its nearest
     self_matching: np.ndarray  # (k,) whether the points lie too far apart for the copy to be a fair one
-    rows: pd.DataFrame  # schema LABELS, all of the above and how the registrations went
+    rows: pd.DataFrame  # schema label_table.LABELS: all of the above and how the registrations went
     parameters: dict[str, Any]
 
     @property
@@ -139,8 +116,8 @@ class Test:
 
     covariances: Mapping[str, np.ndarray]  # by method: (k, M, M), in the order of the labels
     held_out: np.ndarray  # (k, H, M) registration errors, metres and radians, that no label has seen
-    slam: pd.DataFrame  # schema SLAM
-    trajectories: pd.DataFrame  # schema TRAJECTORIES
+    slam: pd.DataFrame  # schema slam.benchmark.tables.ROWS
+    trajectories: pd.DataFrame  # schema slam.benchmark.tables.TRAJECTORIES
     gt: np.ndarray  # (n, 4, 4) T_map_submap of navigation optimised with the labels
     loop_closures: np.ndarray  # (e, 2) nodes k and i of each edge
     registered: np.ndarray  # (r,) submaps whose registrations the edges come from
@@ -150,7 +127,7 @@ class Test:
 
 def read_labels(folders: Folders, name: str) -> Labels:
     """Read a survey's labels."""
-    path = folders.data / f"labels/{name}.parquet"
+    path = folders.product(name, "labels.parquet")
     rows = artifacts.read_table(path, LABELS, also=table.YAW)
     number, spacing, matching = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
     return Labels(number, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
@@ -164,20 +141,20 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
     """
     covariances = {}
     for stage in ("estimated", "predicted"):
-        path = folders.data / f"covariances/{name}_{stage}.parquet"
+        path = folders.product(name, f"{stage}.parquet")
         for method, rows in artifacts.read_table(path, table.SCHEMA, also=table.YAW).groupby("method", sort=False):
             rows = rows.sort_values("submap")
             _same_submaps(path, rows["submap"].to_numpy(), labels, str(method))
             covariances[str(method)] = table.to_matrices(rows)
-    path = folders.data / f"labels/{name}_errors.npz"
+    path = folders.product(name, "errors.npz")
     errors, _ = artifacts.read_arrays(path)  # `errors` of it, the labels' own, ends in NaN where a label stopped early
     _same_submaps(path, errors["submap"], labels, "the held-out errors")
-    graph, _ = artifacts.read_arrays(folders.data / f"graphs/{name}.npz")
+    graph, _ = artifacts.read_arrays(folders.product(name, "graph.npz"))
     first = graph["registration_draw"] == 0
     return Test(
         covariances=covariances,
         held_out=errors["held_out"],
-        slam=artifacts.read_table(folders.reports / f"slam/{name}.parquet", SLAM),
+        slam=artifacts.read_table(folders.reports / f"slam/{name}.parquet", ROWS),
         trajectories=artifacts.read_table(folders.reports / f"slam/{name}_trajectories.parquet", TRAJECTORIES),
         gt=graph["gt"],
         loop_closures=np.stack([graph["edge_target"], graph["edge_source"]], -1)[graph["edge_draw"] == 0],
@@ -189,22 +166,22 @@ def read_test(folders: Folders, name: str, labels: Labels) -> Test:
 
 def read_canonical(folders: Folders, name: str) -> voxel.Clouds:
     """Read a survey's normalised clouds."""
-    path = folders.data / f"clouds/{name}.npz"
+    path = folders.product(name, "clouds.npz")
     return voxel.Clouds.from_arrays(artifacts.read_arrays(path)[0], str(path))
 
 
-def read_variations(folders: Folders, study: Study) -> pd.DataFrame:
-    """Read the test surveys' labels under varied conditions, one table of schema VARIATIONS."""
-    paths = (folders.data / f"variations/{name}.parquet" for name in study.test)
+def read_variations(folders: Folders) -> pd.DataFrame:
+    """Read the test surveys' labels under varied conditions, one table of schema label_table.VARIATIONS."""
+    paths = (folders.product(name, "variations.parquet") for name in folders.study.test)
     every = [artifacts.read_table(path, VARIATIONS, also=table.YAW) for path in paths]
     return pd.concat([VARIATIONS.empty_table().to_pandas(), *every], ignore_index=True)
 
 
 def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataFrame]:
     """Read a survey's registration clouds, (n_i, 3) metres in submap frames, and its poses (submap.POSES)."""
-    path = folders.data / f"submaps/{name}.parquet"
+    path = folders.product(name, "submaps.parquet")
     rows = artifacts.read_table(path, submap.POINTS, [("part", "==", submap.WHOLE)])
-    poses = artifacts.read_table(folders.data / f"submaps/{name}_poses.parquet", submap.POSES)
+    poses = artifacts.read_table(folders.product(name, "poses.parquet"), submap.POSES)
     number, points = rows["submap"].to_numpy(), rows[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
     order = np.argsort(number, kind="stable")
     found, starts = np.unique(number[order], return_index=True)
@@ -215,59 +192,20 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
 
 def read_frame(folders: Folders, name: str) -> tuple[np.ndarray, str]:
     """Read the origin (2,) of a survey's map frame, and the CRS that it is given in."""
-    origin, crs = consistency_map.read_origin(folders.data / f"surveys/{name}/pings.parquet")
+    origin, crs = consistency_map.read_origin(folders.survey(name, "pings.parquet"))
     return np.array(origin), crs
 
 
 def read_pings(folders: Folders, name: str) -> pd.DataFrame:
     """Read a survey's pings (survey.PINGS)."""
-    return artifacts.read_table(folders.data / f"surveys/{name}/pings.parquet", survey.PINGS)
+    return artifacts.read_table(folders.survey(name, "pings.parquet"), survey.PINGS)
 
 
 def read_soundings(folders: Folders, name: str, first: int, last: int) -> np.ndarray:
     """Read the good soundings (n, 3) of the pings first to last, metres in the map frame."""
-    path = folders.data / f"surveys/{name}/soundings.parquet"
+    path = folders.survey(name, "soundings.parquet")
     only = [("ping", ">=", first), ("ping", "<=", last), ("quality", "==", 0)]
     return artifacts.read_table(path, survey.SOUNDINGS, only)[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
-
-
-def read_training(folders: Folders, models: Iterable[str], floor_m2: float) -> dict[str, dict[str, float]]:
-    """Read the mean KL divergence (nats) of what learns, models and fits, in training and validation, at this floor.
-
-    What was measured at another floor is left out: it does not compare.
-
-    Raises:
-        ResultsError: a model's are missing.
-    """
-    found, at = {}, {}
-    for name in models:
-        path = folders.reports / f"train/{name}.json"
-        content = artifacts.read_json(path)
-        kl, at[name] = content.get("kl"), content.get("floor_m2")
-        if not isinstance(kl, dict) or not {"training", "validation"} <= set(kl) or at[name] is None:
-            raise ResultsError(f"{path}: must have kl.training, kl.validation and floor_m2; run dvc repro train@{name}")
-        found[name] = {which: float(kl[which]) for which in ("training", "validation")}
-    fits = artifacts.read_json(folders.models / "fits.json")
-    for name, fit in fits.items():
-        if isinstance(fit, dict) and "mean_kl" in fit:
-            found[name], at[name] = {"training": float(fit["mean_kl"])}, fits["params"]["fit"]["floor_m2"]
-    return {name: each for name, each in found.items() if at[name] == floor_m2}
-
-
-def read_losses(folders: Folders, models: Iterable[str]) -> dict[str, pd.DataFrame]:
-    """Read each model's KL divergence by training step.
-
-    Raises:
-        ResultsError: a column is missing.
-    """
-    return {name: _loss(folders.reports / f"train/{name}.csv") for name in models}
-
-
-def _loss(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)[["step", "training", "validation"]]
-    except (KeyError, ValueError) as error:
-        raise ResultsError(f"{path}: must have the columns step, training, validation; run dvc repro train") from error
 
 
 def _same_submaps(path: Path, found: np.ndarray, labels: Labels, what: str) -> None:

@@ -60,8 +60,8 @@ def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
     Raises:
         ArtifactError: a table is missing or damaged.
     """
-    rows = artifacts.read_table(folders.data / f"closures/{survey}.parquet", CLOSURES, also=YAW)
-    path = folders.data / f"closures/{survey}_covariances.parquet"
+    rows = artifacts.read_table(folders.product(survey, "closures.parquet"), CLOSURES, also=YAW)
+    path = folders.product(survey, "closure_covariances.parquet")
     submaps = labels.submap.tolist()
     by_method = {GOLD: labels.q, **test.covariances}
     covariances = {method: dict(zip(submaps, q, strict=True)) for method, q in by_method.items()}

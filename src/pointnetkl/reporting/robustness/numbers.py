@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pointnetkl.reporting.results import Folders
 from pointnetkl.slam.robust.tables import CORRUPTED, GATE, GRAPH, ROWS
 from pointnetkl.workflow import artifacts
 
@@ -27,16 +27,16 @@ class StressTest:
     gate: pd.DataFrame  # schema GATE, a row for each gate that was tried
 
 
-def read(folders: Folders, surveys: Iterable[str]) -> StressTest:
-    """Read the tables of the test surveys.
+def read(reports: Path, surveys: Iterable[str]) -> StressTest:
+    """Read the tables of the test surveys, below the folder of reports.
 
     Raises:
         ArtifactError: a table is missing or damaged.
     """
     rows, gates = [ROWS.empty_table().to_pandas()], [GATE.empty_table().to_pandas()]
     for survey in surveys:
-        rows.append(artifacts.read_table(folders.reports / f"robustness/{survey}.parquet", ROWS))
-        gates.append(artifacts.read_table(folders.reports / f"robustness/{survey}_gate.parquet", GATE))
+        rows.append(artifacts.read_table(reports / f"robustness/{survey}.parquet", ROWS))
+        gates.append(artifacts.read_table(reports / f"robustness/{survey}_gate.parquet", GATE))
     return StressTest(pd.concat(rows[len(rows) > 1 :]), pd.concat(gates[len(gates) > 1 :]))
 
 

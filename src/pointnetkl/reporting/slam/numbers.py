@@ -7,10 +7,14 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.results import OURS, SLAM_ERRORS, Settings, Test
-from pointnetkl.slam.benchmark.tables import AUTHORS, TABLE
+from pointnetkl.reporting.results import OURS, Settings, Test
+from pointnetkl.slam.benchmark.tables import AUTHORS, RMSES, TABLE
 from pointnetkl.slam.graph import trajectory_error
 
+ERRORS = (  # of one solution; the other measures are over draws
+    *(f"{against}{name}" for against in ("", "truth_") for name in RMSES),
+    *("map_to_map_m", "map_to_map_auvlib_m", "pose_nees"),
+)
 NOT_SOLVED = ("navigation", "corrupted", "gt")  # trajectories that no method's covariances made
 # Measured over draws, and how their numbers are called: {} stands in a name of the measure's mean, or of a comparison
 _OVER_DRAWS = {
@@ -119,7 +123,7 @@ def _sizes(test: Test) -> dict[str, Any]:
 
 
 def _errors(rows: pd.DataFrame, name: str, method: str, settings: Settings) -> dict[str, Any]:
-    means = {column: float(rows[column].mean()) for column in SLAM_ERRORS}  # NaN where every repetition is
+    means = {column: float(rows[column].mean()) for column in ERRORS}  # NaN where every repetition is
     solved = rows["rmse_xyz_m"].dropna().to_numpy()
     if len(solved) < 2:
         return means

@@ -1,6 +1,6 @@
 """Tables of surveys: Table I, and what was left out of each survey before it was cut, and why."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -29,11 +29,11 @@ _IN_WORDS = {
 }
 
 
-def read(folders: Folders, surveys: Iterable[str]) -> dict[str, dict[str, Any]]:
+def read(folders: Folders) -> dict[str, dict[str, Any]]:
     """Return what stages ingest and segment counted of each survey, from their artifacts."""
     found = {}
-    for name in surveys:
-        pings, poses = folders.data / f"surveys/{name}/pings.parquet", folders.data / f"submaps/{name}_poses.parquet"
+    for name in folders.study.surveys:
+        pings, poses = folders.survey(name, "pings.parquet"), folders.product(name, "poses.parquet")
         found[name] = {
             "ingest": artifacts.table_metadata(pings).get("report", {}),
             "segment": artifacts.table_metadata(poses).get("dropped", {}),
