@@ -3,7 +3,7 @@
 Both register the same noisy, moved copies of the same simulated submaps back, in turns, in one process. Of ours, all
 that a label pays per registration is timed: drawing the noise, moving the copy, its normals, aligning it. small_gicp
 gets its copies for nothing; timed are its covariances (k-d tree, 20 neighbours) and aligning. "Prepared" takes ours'
-normals from the clean submap and small_gicp's covariances out of the time. small_gicp has no planar mode: it moves the
+normals and small_gicp's covariances, each timed alone, out of the time. small_gicp has no planar mode: it moves the
 copy in all six degrees of freedom, and its x and y are those of the submap's centre.
 """
 # ruff: noqa: E402

@@ -93,7 +93,7 @@ def check(arguments: argparse.Namespace) -> None:
 def of_submap(bench: Bench, name: str, arguments: argparse.Namespace) -> Row:
     """Return one submap's agreement with the CPU, and the kernel's rate on it."""
     here, there = (bench.register(name, arguments.checked, engine) for engine in ("cpu", "cuda"))
-    apart = np.linalg.norm(here.translation - there.translation, axis=1)
+    apart = np.linalg.norm(here.T_target_copy.translation - there.T_target_copy.translation, axis=1)
     moves, _ = bench.draws(name, arguments.checked)
     p, q = (monte_carlo.covariance(moves + found.T_target_copy.translation) for found in (here, there))
     seconds, iterations = kernel_alone(bench, name, arguments)
@@ -111,15 +111,15 @@ def of_submap(bench: Bench, name: str, arguments: argparse.Namespace) -> Row:
 
 def kernel_alone(bench: Bench, name: str, arguments: argparse.Namespace) -> tuple[float, float]:
     """Return the seconds of one launch, the median of several, and the mean iterations of its runs."""
-    lane, cloud, limits = cuda.Lane(), bench.prepare(name), registration._limits(bench.registration)
+    lane, cloud, limits = cuda.Lane(), bench.prepare(name), registration.limits(bench.registration)
     moves, noise = bench.draws(name, arguments.launched)
     seconds = []
     for _ in range(arguments.repetitions + 1):  # the first compiles, and wakes the GPU up
         given = cuda.arguments(lane, cloud, cloud, moves, noise, limits)
         begun = time.perf_counter()
-        found = cuda.launch(lane, given)
+        _, iterations, _ = cuda.launch(lane, given)
         seconds.append(time.perf_counter() - begun)
-    return float(np.median(seconds[1:])), float(found.iterations.mean())
+    return float(np.median(seconds[1:])), float(iterations.mean())
 
 
 def all_of_it(bench: Bench, arguments: argparse.Namespace) -> tuple[float, float]:

@@ -1,5 +1,7 @@
 """The kernel: GICP with the motion constrained to x and y, or to x, y and yaw.
 
+`registration.reference` has the same method in plain NumPy: read it first.
+
 With C = I - (1 - epsilon) n n^T for both points of a match, the weight M = (C_q + R C_p R^T)^-1 needs the two normals
 alone. Without yaw it does not change while the match stands, so the cost sum d^T M d is quadratic in the translation:
 one 2 x 2 solve per re-matching. The sums of that solve are kept, and changed only by the points whose match changes.
@@ -13,7 +15,7 @@ import numpy as np
 from pointnetkl.registration.gicp import matching, noise, normals, turning, weights
 from pointnetkl.registration.gicp.device import device, kernel
 
-_f32, _at = np.float32, np.uint64
+_f32, _u64 = np.float32, np.uint64
 
 
 class Source(NamedTuple):
@@ -26,69 +28,84 @@ class Source(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The settings of a registration; the last two are there to be compared with, and are true."""
+    """The settings of a registration."""
 
-    epsilon: np.float32
-    farthest: np.float32  # metres, of a match
+    epsilon: np.float32  # variance along a normal, against 1 in the plane
+    max_distance: np.float32  # metres, of a match
     tolerance: float  # metres
-    iterations: int
-    yaw: bool
-    recompute: bool  # a copy's normals, from its noisy points; else it has those of the clean cloud
-    keep: bool  # matches while they cannot change; else every one is searched anew at every iteration
+    max_iterations: int
+    with_yaw: bool
 
 
-class _State(NamedTuple):
-    points: np.ndarray  # (3, n) float32, of the copy before it is moved
+class Copy(NamedTuple):
+    """A copy of the source before it is moved, and what is kept of it from one iteration to the next."""
+
+    x: np.ndarray  # (n,) float32 metres, in the target's axes
+    y: np.ndarray
+    z: np.ndarray
     normals: np.ndarray  # (3 n,) float32
-    matches: np.ndarray  # (n,) int32, -1: none
+    matches: np.ndarray  # (n,) int32, the target's points; -1: none
     deadlines: np.ndarray  # (n,) float32, metres of motion at which the match is to be searched again
     terms: np.ndarray  # (5 n,) float32, a point's part of the sums
     stale: np.ndarray  # (n,) int32, the points to be searched now
 
 
+class Motion(NamedTuple):
+    """Where a copy has been moved to, and how far it has gone to get there."""
+
+    x: float  # metres
+    y: float
+    yaw: float  # radians, about the target's origin
+    travel: float  # metres, the sum of the lengths of its steps
+    rotation: float  # radians, the sum of their turns' sizes
+
+
 @kernel
-def register(source, target, turn, limits):  # type: ignore[no-untyped-def]
-    """Register a Source onto a Target from where it is, turned by so many radians about the target's origin.
+def register(source, target, start_yaw, limits):  # type: ignore[no-untyped-def]
+    """Register a Source onto a Target from where it is, turned by a yaw in radians about the target's origin.
 
     Returns the motion (x, y, yaw) in metres and radians, nine sums of which the first three are M_xx, M_xy and M_yy
     in 1/m^2, iterations, whether the last step was below the tolerance, and matched points. Without any match: the turn
     alone, and zeros.
     """
     n = source.points.shape[1]
-    state = _state(n)
-    state.points[:], state.normals[: 3 * n] = source.points, source.normals[: 3 * n]
-    return _align(state, target, turn, limits)
+    copy = allocate(n)
+    copy.x[:], copy.y[:], copy.z[:] = source.points[0], source.points[1], source.points[2]
+    copy.normals[: 3 * n] = source.normals[: 3 * n]
+    return align(copy, target, start_yaw, limits)
 
 
 @kernel
-def register_noisy(source, target, moves, turns, draws, limits):  # type: ignore[no-untyped-def]
+def register_noisy(source, target, moves, start_yaws, draws, limits):  # type: ignore[no-untyped-def]
     """Register copies of a Source, each moved by (x, y) of moves (b, 2) and noise, onto a Target.
 
-    A search begins with the copy turned by turns (b,), radians, zero without yaw. `draws` are the first run, the two
-    words of the key and sigma. Returns motions (b, 3) as x, y in metres and yaw in radians about the target's origin,
-    iterations (b,), and whether the last step was below the tolerance (b,).
+    A search begins with the copy turned by its start_yaw (b,), radians, zero without yaw. `draws` are the first run,
+    the two words of the key and sigma. Returns motions (b, 3) as x, y in metres and yaw in radians about the target's
+    origin, iterations (b,), and whether the last step was below the tolerance (b,).
     """
     count, n = len(moves), source.points.shape[1]
     motions, iterations, converged = np.empty((count, 3)), np.empty(count, np.int32), np.empty(count, np.bool_)
-    state, shaken = _state(n), np.empty((3, n), np.float32)
-    state.normals[: 3 * n] = source.normals[: 3 * n]
+    copy, shifts = allocate(n), np.empty((3, n), np.float32)
     rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(source.neighbourhoods)
     first, low, high, sigma = draws
     for b in range(count):
-        noise.fill(shaken[0], shaken[1], shaken[2], first + b, low, high, sigma)
-        if limits.recompute:
-            normals.of_copy(source.points, shaken, source.neighbourhoods, source.lists, rows, sums, state.normals)
-        for axis in range(3):
-            _move(source.points[axis], shaken[axis], _f32(moves[b, axis]) if axis < 2 else _f32(0), state.points[axis])
-        motion, _, iterations[b], converged[b], _ = _align(state, target, turns[b], limits)
+        noise.fill(shifts[0], shifts[1], shifts[2], first + b, low, high, sigma)
+        normals.of_copy(source.points, shifts, source.neighbourhoods, source.lists, rows, sums, copy.normals)
+        _move(source.points[0], shifts[0], _f32(moves[b, 0]), copy.x)
+        _move(source.points[1], shifts[1], _f32(moves[b, 1]), copy.y)
+        _move(source.points[2], shifts[2], _f32(0), copy.z)
+        motion, _, iterations[b], converged[b], _ = align(copy, target, start_yaws[b], limits)
         motions[b, 0], motions[b, 1], motions[b, 2] = motion
     return motions, iterations, converged
 
 
 @device
-def _state(n):  # type: ignore[no-untyped-def]
-    return _State(
-        np.empty((3, n), np.float32),
+def allocate(n):  # type: ignore[no-untyped-def]
+    """Return room for a Copy of n points."""
+    return Copy(
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
         np.empty(3 * (n + normals.LANES), np.float32),
         np.empty(n, np.int32),
         np.empty(n, np.float32),
@@ -104,109 +121,104 @@ def _move(points, noise, by, moved):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _align(state, target, turn, limits):  # type: ignore[no-untyped-def]
-    # Returns the motion (x, y, yaw), the nine sums of the last solve, iterations, converged, and matched points;
-    # without any match, the turn that it began with, and zeros.
-    state.matches[:], state.deadlines[:], state.terms[:] = -1, -1, 0
+def align(copy, target, start_yaw, limits):  # type: ignore[no-untyped-def]
+    """Align a Copy, of which x, y, z and normals are filled, with a Target; return what `register` does."""
+    copy.matches[:], copy.deadlines[:], copy.terms[:] = -1, -1, 0
     sums = np.zeros(9)  # M_xx, M_xy, M_yy, (M d)_x, (M d)_y; and with yaw: M_x,yaw, M_y,yaw, M_yaw,yaw, (J^T M d)_yaw
-    x, y, yaw, way, turned = 0.0, 0.0, turn, 0.0, 0.0
-    lever = turning.lever(state.points[0], state.points[1])
+    motion = Motion(0.0, 0.0, start_yaw, 0.0, 0.0)
+    lever = turning.lever(copy.x, copy.y)
     iterations, matched, converged = 0, 0, False
-    while iterations < limits.iterations and not converged:
-        if not limits.keep:
-            state.deadlines[:] = -1
-        matched += _rematch(state, target, limits, sums, x, y, yaw, way, turned)
+    while iterations < limits.max_iterations and not converged:
+        matched += _rematch(copy, target, motion, limits, sums)
         if matched == 0:
-            return (0.0, 0.0, yaw), np.zeros(9), iterations, False, 0
-        if limits.yaw:
-            turning.fill_sums(state, target, limits.epsilon, sums, x, y, yaw)
+            return (0.0, 0.0, motion.yaw), np.zeros(9), iterations, False, 0
+        if limits.with_yaw:
+            turning.fill_sums(copy, target, motion, limits.epsilon, sums)
             step_x, step_y, turn = turning.solve(sums)
         else:
-            to_x, to_y = weights.solve(sums)
-            step_x, step_y, turn = to_x - x, to_y - y, 0.0
+            x, y = weights.solve(sums)
+            step_x, step_y, turn = x - motion.x, y - motion.y, 0.0
         step = math.hypot(step_x, step_y)
-        x, y, yaw, way, turned = x + step_x, y + step_y, yaw + turn, way + step, turned + abs(turn)
+        motion = Motion(
+            motion.x + step_x, motion.y + step_y, motion.yaw + turn, motion.travel + step, motion.rotation + abs(turn)
+        )
         iterations += 1
         converged = step < limits.tolerance and abs(turn) * lever < limits.tolerance
-    return (x, y, yaw), sums, iterations, converged, matched
+    return (motion.x, motion.y, motion.yaw), sums, iterations, converged, matched
 
 
 @kernel
-def _rematch(state, target, limits, sums, x, y, yaw, way, turned):  # type: ignore[no-untyped-def]
-    # Searches the matches that the motion so far, a way of so many metres and radians, may have changed; returns how
-    # many more points are matched.
-    px, py, pz = state.points[0], state.points[1], state.points[2]
-    turned, way = _f32(turned), _f32(way)
-    stale = _find_stale(px, py, state.deadlines, way, turned, state.stale)
-    pose = (_f32(math.cos(yaw)), _f32(math.sin(yaw)), _f32(x), _f32(y))
-    changed, growth = _match(
-        px, py, pz, pose, way, turned, state.stale[:stale], state.matches, state.deadlines, target, limits.farthest
-    )
-    if not limits.yaw:
-        _exchange(
-            px, py, pz, state.normals, state.matches, state.stale[:changed], target.points, target.normals,
-            limits.epsilon, state.terms, sums,
-        )  # fmt: skip
+def _rematch(copy, target, motion, limits, sums):  # type: ignore[no-untyped-def]
+    # searches the matches that the motion so far may have changed; returns how many more points are matched
+    stale = _find_stale(copy, _f32(motion.travel), _f32(motion.rotation))
+    changed, growth = _match(copy, target, motion, limits.max_distance, stale)
+    if not limits.with_yaw:
+        _exchange(copy, target, limits.epsilon, changed, sums)
     return growth
 
 
 @device
-def _find_stale(px, py, deadlines, way, turned, stale):  # type: ignore[no-untyped-def]
-    # a point's way is no longer than the cloud's, and its distance from the origin times what the cloud has turned
+def _find_stale(copy, travel, rotation):  # type: ignore[no-untyped-def]
+    # a point goes no farther than the cloud, and its distance from the origin times what the cloud has turned
+    px, py, deadlines, stale = copy.x, copy.y, copy.deadlines, copy.stale
     count = 0
-    if turned == 0:
+    if rotation == 0:
         for i in range(len(px)):
-            stale[_at(count)] = i
-            count += not way < deadlines[i]
+            stale[_u64(count)] = i
+            count += not travel < deadlines[i]
     else:
         for i in range(len(px)):
-            stale[_at(count)] = i
-            count += not way + turned * (abs(px[i]) + abs(py[i])) < deadlines[i]
+            stale[_u64(count)] = i
+            count += not travel + rotation * (abs(px[i]) + abs(py[i])) < deadlines[i]
     return count
 
 
 @kernel
-def _match(px, py, pz, pose, way, turned, stale, matches, deadlines, target, farthest):  # type: ignore[no-untyped-def]
-    # Matches the stale points; leaves in `stale` those whose match is another one; returns how many these are, and how
-    # many more points are matched. A match stands while the motion since it was found is under half the gap to the
-    # second nearest; the margin keeps that true of rounded numbers.
-    cosine, sine, tx, ty = pose
+def _match(copy, target, motion, max_distance, count):  # type: ignore[no-untyped-def]
+    # Matches the first `count` stale points; leaves in `stale` those whose match is another one; returns how many
+    # these are, and how many more points are matched. A match stands while the motion since it was found is under half
+    # the gap to the second nearest; the margin keeps that true of rounded numbers.
+    px, py, pz, matches, deadlines, stale = copy.x, copy.y, copy.z, copy.matches, copy.deadlines, copy.stale
+    cosine, sine, tx, ty = _f32(math.cos(motion.yaw)), _f32(math.sin(motion.yaw)), _f32(motion.x), _f32(motion.y)
+    travel, rotation = _f32(motion.travel), _f32(motion.rotation)
     changed, growth, near, other = 0, 0, np.int32(-1), np.int32(-1)
-    for s in range(len(stale)):
-        i = _at(stale[_at(s)])
+    for s in range(count):
+        i = _u64(stale[_u64(s)])
         qx, qy = cosine * px[i] - sine * py[i] + tx, sine * px[i] + cosine * py[i] + ty
         hint, other_hint = near, other
         near, other, near_m, other_m, exact = matching.look_up(qx, qy, pz[i], target)
-        if not exact or other_m >= farthest:
-            within = min(farthest, other_m * _f32(1.00001) + target.margin)
+        if not exact or other_m >= max_distance:
+            within = min(max_distance, other_m * _f32(1.00001) + target.margin)
             near, other, near_m, other_m = matching.search(qx, qy, pz[i], within, hint, other_hint, target)
         slack = _f32(0.5) * (other_m - near_m) - target.margin
-        deadlines[i] = slack + way + turned * (abs(px[i]) + abs(py[i]))
+        deadlines[i] = slack + travel + rotation * (abs(px[i]) + abs(py[i]))
         old = matches[i]
         matches[i] = near
         growth += (near >= 0) - (old >= 0)
-        stale[_at(changed)] = i
+        stale[_u64(changed)] = i
         changed += near != old
     return changed, growth
 
 
 @kernel
-def _exchange(px, py, pz, normals, matches, changed, points, target_normals, epsilon, terms, sums):  # type: ignore[no-untyped-def]
-    # d of the unmoved source: the solve then answers with the whole translation
+def _exchange(copy, target, epsilon, count, sums):  # type: ignore[no-untyped-def]
+    # Puts the new terms of the first `count` stale points into the sums, in place of their old ones. d is that of the
+    # unmoved copy: the solve then answers with the whole translation.
+    px, py, pz, terms = copy.x, copy.y, copy.z, copy.terms
     s0, s1, s2, s3, s4 = sums[0], sums[1], sums[2], sums[3], sums[4]
-    for c in range(len(changed)):
-        i = _at(changed[_at(c)])
-        n, t = _at(3) * i, _at(weights.TERMS) * i
-        matched = _f32(matches[i] >= 0)
+    for c in range(count):
+        i = _u64(copy.stale[_u64(c)])
+        n, t = _u64(3) * i, _u64(weights.TERMS) * i
+        matched = _f32(copy.matches[i] >= 0)
         xx, xy, yy, gx, gy = weights.weigh(
-            px[i], py[i], pz[i], normals[n], normals[n + _at(1)], normals[n + _at(2)],
-            points, target_normals, _at(3) * _at(max(matches[i], 0)), epsilon,
+            px[i], py[i], pz[i], copy.normals[n], copy.normals[n + _u64(1)], copy.normals[n + _u64(2)],
+            target.points, target.normals, _u64(3) * _u64(max(copy.matches[i], 0)), epsilon,
         )  # fmt: skip
         xx, xy, yy, gx, gy = matched * xx, matched * xy, matched * yy, matched * gx, matched * gy
         s0 += np.float64(xx) - np.float64(terms[t])
-        s1 += np.float64(xy) - np.float64(terms[t + _at(1)])
-        s2 += np.float64(yy) - np.float64(terms[t + _at(2)])
-        s3 += np.float64(gx) - np.float64(terms[t + _at(3)])
-        s4 += np.float64(gy) - np.float64(terms[t + _at(4)])
-        terms[t], terms[t + _at(1)], terms[t + _at(2)], terms[t + _at(3)], terms[t + _at(4)] = xx, xy, yy, gx, gy
+        s1 += np.float64(xy) - np.float64(terms[t + _u64(1)])
+        s2 += np.float64(yy) - np.float64(terms[t + _u64(2)])
+        s3 += np.float64(gx) - np.float64(terms[t + _u64(3)])
+        s4 += np.float64(gy) - np.float64(terms[t + _u64(4)])
+        terms[t], terms[t + _u64(1)], terms[t + _u64(2)], terms[t + _u64(3)], terms[t + _u64(4)] = xx, xy, yy, gx, gy
     sums[0], sums[1], sums[2], sums[3], sums[4] = s0, s1, s2, s3, s4

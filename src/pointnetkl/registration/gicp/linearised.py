@@ -1,6 +1,6 @@
-"""A registration at its solution, made linear: what closed forms of its covariance are taken from.
+"""A registration linearised at its solution, which the closed forms of its covariance start from.
 
-With matches and weights held, the motion is a linear function of the points: it changes by H^-1 sum A^T M (q - p).
+With fixed matches and weights the motion is a linear function of the points: it changes by H^-1 sum A^T M (q - p).
 """
 
 from dataclasses import dataclass, replace
@@ -9,8 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pointnetkl.registration.gicp import normals
+from pointnetkl.registration.gicp.cloud import Cloud, Settings
 from pointnetkl.registration.gicp.noise import Noise
-from pointnetkl.registration.gicp.registration import Cloud, Settings, register_noisy
+from pointnetkl.registration.gicp.registration import register_noisy
 from pointnetkl.surveys.se2 import SE2
 
 
@@ -25,7 +26,7 @@ class Linearised:
 
     @property
     def gains(self) -> np.ndarray:
-        """Return B = A^T M, (m, M, 3): what a match pulls the motion by."""
+        """Return B = A^T M, (m, M, 3): the pull of a match on the motion, per metre of residual."""
         return np.asarray(np.swapaxes(self.jacobian, 1, 2) @ self.weights)
 
     @property
@@ -35,50 +36,50 @@ class Linearised:
 
     @property
     def along_normals(self) -> "Linearised":
-        """Return it without the I / 2 of every weight, which holds in the plane too, where a seabed says nothing."""
+        """Return it without the I / 2 of every weight, which acts along the seabed too, where a point cannot tell."""
         return replace(self, weights=self.weights - 0.5 * np.eye(3))
 
     def about(self, centre: np.ndarray) -> "Linearised":
-        """Return it with the yaw about a place (3,), in metres from the target's centre."""
+        """Return it with the yaw about another centre (3,), in metres from the target's centre."""
         shifts = jacobian(-centre[None], self.jacobian.shape[2]) - jacobian(np.zeros((1, 3)), self.jacobian.shape[2])
         return replace(self, jacobian=self.jacobian + shifts)
 
 
 def solve(source: Cloud, target: Cloud, noise: Noise, settings: Settings) -> Linearised:
     """Register the copy of run `noise.first` of the source onto the target, from where it is; return its solution."""
-    found = register_noisy(source, target, np.zeros((1, settings.dimensions)), noise, settings)
+    solution = register_noisy(source, target, np.zeros((1, settings.dimensions)), noise, settings)
     points, upwards = noisy_copy(source, target, noise)
-    return linearise(points, upwards, target, SE2.from_vector(found.T_target_copy.to_vector()[0]), settings)
+    return linearise(points, upwards, target, SE2.from_vector(solution.T_target_copy.to_vector()[0]), settings)
 
 
 def noisy_copy(source: Cloud, target: Cloud, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Return points (n, 3) in metres and unit normals (n, 3) of the copy of run `noise.first` of the source.
 
-    They are those that `register_noisy` registers onto the target.
+    They are the ones that `register_noisy` registers to the target.
     """
-    given = source.as_source(target, np.zeros(3))
-    n = given.points.shape[1]
-    shaken = np.ascontiguousarray(noise.of_runs(1, n)[0].T)
-    rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(given.neighbourhoods)
+    clean = source.as_source(target, np.zeros(3))
+    n = clean.points.shape[1]
+    shifts = np.ascontiguousarray(noise.of_runs(1, n)[0].T)
+    rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(clean.neighbourhoods)
     upwards = np.empty(3 * (n + normals.LANES), np.float32)
-    normals.of_copy(given.points, shaken, given.neighbourhoods, given.lists, rows, sums, upwards)
-    return source.points + shaken.T, upwards[: 3 * n].reshape(n, 3).astype(np.float64)
+    normals.of_copy(clean.points, shifts, clean.neighbourhoods, clean.lists, rows, sums, upwards)
+    return source.points + shifts.T, upwards[: 3 * n].reshape(n, 3).astype(np.float64)
 
 
 def linearise(
     points: np.ndarray, upwards: np.ndarray, target: Cloud, T_target_source: SE2, settings: Settings
 ) -> Linearised:
-    """Match points (n, 3) with their normals to the target, after a motion about its centre."""
+    """Return the matches of points (n, 3), with their normals, after a motion about the target's centre."""
     turn = T_target_source.to_matrix()[:3, :3]
     arms = (points - target.centre) @ turn.T
     moved = arms + target.centre + [*T_target_source.translation, 0.0]
     distances, matches = cKDTree(target.points).query(moved, distance_upper_bound=settings.max_distance_m)
-    near = np.isfinite(distances)
-    matches = matches[near]
+    matched = np.isfinite(distances)
+    matches = matches[matched]
     return Linearised(
-        jacobian(arms[near], settings.dimensions),
-        weigh(upwards[near] @ turn.T, target.normals[matches].astype(np.float64), settings.plane_epsilon),
-        target.points[matches] - moved[near],
+        jacobian(arms[matched], settings.dimensions),
+        weigh(upwards[matched] @ turn.T, target.normals[matches].astype(np.float64), settings.plane_epsilon),
+        target.points[matches] - moved[matched],
         matches,
     )
 

@@ -1,4 +1,4 @@
-"""Exact nearest and second nearest points: a table of candidates for every cell, a search where it falls short."""
+"""Exact nearest and second nearest points, from a table of candidates for every cell or, failing that, a search."""
 
 import math
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 from pointnetkl.registration.gicp.device import device, kernel
 from pointnetkl.registration.gicp.neighbours import Grid
 
-_f32, _i32, _at = np.float32, np.int32, np.uint64
+_f32, _i32, _u64 = np.float32, np.int32, np.uint64
 CANDIDATES = 16  # of a cell: what one instruction compares
 RANK = _i32(CANDIDATES - 1)  # the last bits of a key say which candidate
 NONE = _i32(0x7FFFFFFF)
@@ -33,7 +33,7 @@ class Target(NamedTuple):
     margin: np.float32  # metres: more than what rounding moves a distance by
 
 
-def target(points: np.ndarray, normals: np.ndarray, grid: Grid) -> Target:
+def build_target(points: np.ndarray, normals: np.ndarray, grid: Grid) -> Target:
     """Return points and normals (n, 3) float32, sorted by their grid, with the table of candidates of every cell."""
     cells = grid.columns * grid.rows
     candidates = np.full((cells, 3, CANDIDATES), FAR_M, np.float32)
@@ -78,26 +78,26 @@ def _insert(j, square, near, squares):  # type: ignore[no-untyped-def]
 
 
 @device
-def look_up(x, y, z, to):  # type: ignore[no-untyped-def]
+def look_up(x, y, z, target):  # type: ignore[no-untyped-def]
     """Return the two nearest candidates of a point's cell, their distances, and whether no other point is nearer.
 
     Of points whose distances differ by less than a millionth part, either may be called the nearer one. Without
     branches, and with no array in a variable of its own: each costs more than the search.
     """
-    inverse = _f32(1) / to.cell
-    column = min(max(int((x - to.x0) * inverse), 0), to.columns - 1)
-    row = min(max(int((y - to.y0) * inverse), 0), to.rows - 1)
-    cell = column * to.rows + row
-    first, second = _least_two(x, y, z, to.candidates, 3 * CANDIDATES * cell)
+    inverse = _f32(1) / target.cell
+    column = min(max(int((x - target.x0) * inverse), 0), target.columns - 1)
+    row = min(max(int((y - target.y0) * inverse), 0), target.rows - 1)
+    cell = column * target.rows + row
+    first, second = _least_two(x, y, z, target.candidates, 3 * CANDIDATES * cell)
     near_m, other_m = distance(first), distance(second)
-    dx = x - (to.x0 + (_f32(column) + _f32(0.5)) * to.cell)
-    dy = y - (to.y0 + (_f32(row) + _f32(0.5)) * to.cell)
+    dx = x - (target.x0 + (_f32(column) + _f32(0.5)) * target.cell)
+    dy = y - (target.y0 + (_f32(row) + _f32(0.5)) * target.cell)
     return (
-        to.numbers[_at(CANDIDATES * cell + (first & RANK))],
-        to.numbers[_at(CANDIDATES * cell + (second & RANK))],
+        target.numbers[_u64(CANDIDATES * cell + (first & RANK))],
+        target.numbers[_u64(CANDIDATES * cell + (second & RANK))],
         near_m,
         other_m,
-        other_m + math.sqrt(dx * dx + dy * dy) <= to.reach[_at(cell)],
+        other_m + math.sqrt(dx * dx + dy * dy) <= target.reach[_u64(cell)],
     )
 
 
@@ -116,9 +116,9 @@ def _least_two(x, y, z, candidates, start):  # type: ignore[no-untyped-def]
 
 @device
 def _key(x, y, z, candidates, start, rank):  # type: ignore[no-untyped-def]
-    dx = candidates[_at(start + rank)] - x
-    dy = candidates[_at(start + CANDIDATES + rank)] - y
-    dz = candidates[_at(start + 2 * CANDIDATES + rank)] - z
+    dx = candidates[_u64(start + rank)] - x
+    dy = candidates[_u64(start + CANDIDATES + rank)] - y
+    dz = candidates[_u64(start + 2 * CANDIDATES + rank)] - z
     square = _f32(dx * dx + dy * dy + dz * dz)
     return _i32((square.view(np.int32) & ~RANK) | _i32(rank))
 
@@ -136,34 +136,34 @@ def _square(x, y, z, points, j):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def search(x, y, z, within, hint, other_hint, to):  # type: ignore[no-untyped-def]
+def search(x, y, z, within, hint, other_hint, target):  # type: ignore[no-untyped-def]
     """Return the two nearest points within a distance in metres, -1: none, and their distances, at most that.
 
     The hints are two points that may be near, or -1: they make a wide search shorter.
     """
-    points = to.points
+    points = target.points
     if other_hint >= 0:
-        known = math.sqrt(max(_square(x, y, z, points, hint), _square(x, y, z, points, other_hint)))
-        within = min(within, known * _f32(1.00001) + to.margin)
+        bound = math.sqrt(max(_square(x, y, z, points, hint), _square(x, y, z, points, other_hint)))
+        within = min(within, bound * _f32(1.00001) + target.margin)
     # by columns of the grid, from the point's own outwards
-    inverse = _f32(1) / to.cell
+    inverse = _f32(1) / target.cell
     near, other, first, second = _i32(-1), _i32(-1), within * within, within * within
-    position = (x - to.x0) * inverse
+    position = (x - target.x0) * inverse
     own = int(position) - (position < 0)
     for side in range(2):  # own column and those to the right of it, then those to the left
-        column = max(own, 0) if side == 0 else min(own, to.columns) - 1
-        while 0 <= column < to.columns:
+        column = max(own, 0) if side == 0 else min(own, target.columns) - 1
+        while 0 <= column < target.columns:
             gap = _f32(0)
             if column != own:
-                gap = abs(to.x0 + _f32(column + side) * to.cell - x) - to.margin
-            left = second - gap * abs(gap)
-            if not left > 0:
+                gap = abs(target.x0 + _f32(column + side) * target.cell - x) - target.margin
+            rest = second - gap * abs(gap)
+            if not rest > 0:
                 break
-            span = math.sqrt(left) + to.margin
-            low = max(int((y - span - to.y0) * inverse), 0)
-            high = min(int((y + span - to.y0) * inverse), to.rows - 1)
+            span = math.sqrt(rest) + target.margin
+            low = max(int((y - span - target.y0) * inverse), 0)
+            high = min(int((y + span - target.y0) * inverse), target.rows - 1)
             if low <= high:
-                start, stop = to.starts[column * to.rows + low], to.starts[column * to.rows + high + 1]
+                start, stop = target.starts[column * target.rows + low], target.starts[column * target.rows + high + 1]
                 for j in range(start, stop):
                     square = _square(x, y, z, points, j)
                     if square < second:

@@ -1,4 +1,4 @@
-"""Who is near whom: neighbour lists within a cloud, and a grid of buckets in x and y for matching clouds."""
+"""Neighbour lists within a cloud, and a grid of cells in x and y for matching clouds."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ _RIM = 2  # empty cells on each side, because a copy reaches beyond the cloud
 
 
 class Grid(NamedTuple):
-    """Buckets in x and y over points sorted by bucket; cell (column, row) holds starts[c * rows + r] onwards."""
+    """Cells in x and y over points sorted by cell; the points of cell (c, r) begin at starts[c * rows + r]."""
 
     starts: np.ndarray  # (columns * rows + 1,) int32
     x0: np.float32  # corner, metres
@@ -28,18 +28,18 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def build_grid(points: np.ndarray, spacing: float) -> tuple[Grid, np.ndarray]:
-    """Return a grid with cells about `spacing` metres wide over points (n, 3) float32, and the order to sort them.
+    """Return a grid of cells of `spacing` metres over points (n, 3) float32, and the order of the points by cell.
 
-    Cells are wider where the spacing would need more than a bounded number of them.
+    Cells are wider than that where there would be more than 16 for every point.
     """
     x0, y0 = points[:, 0].min(), points[:, 1].min()
     width, height = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 1]))
-    most = _CELLS_PER_POINT * len(points)
-    cell = np.float32(max(spacing, np.sqrt(width * height / most), max(width, height) / most, 1e-6))
+    max_cells = _CELLS_PER_POINT * len(points)
+    cell = np.float32(max(spacing, np.sqrt(width * height / max_cells), max(width, height) / max_cells, 1e-6))
     x0, y0 = x0 - _RIM * cell, y0 - _RIM * cell
     column, row = ((points[:, axis] - low) * (np.float32(1) / cell) for axis, low in ((0, x0), (1, y0)))
     column, row = column.astype(np.int64), row.astype(np.int64)
     columns, rows = int(column.max()) + 1 + _RIM, int(row.max()) + 1 + _RIM
-    bucket = column * rows + row
-    starts = np.concatenate([[0], np.cumsum(np.bincount(bucket, minlength=columns * rows))]).astype(np.int32)
-    return Grid(starts, x0, y0, cell, columns, rows), np.argsort(bucket, kind="stable")
+    cells = column * rows + row
+    starts = np.concatenate([[0], np.cumsum(np.bincount(cells, minlength=columns * rows))]).astype(np.int32)
+    return Grid(starts, x0, y0, cell, columns, rows), np.argsort(cells, kind="stable")

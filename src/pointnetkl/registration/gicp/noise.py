@@ -1,7 +1,6 @@
-"""The noise of Monte Carlo's copies: standard normal numbers addressed by point, run and key, on any engine alike.
+"""The noise of Monte Carlo's copies: standard normal numbers, each a function of point, run and key.
 
-A counter-based generator has no state: run 7 of a submap gets the same noise in whatever batch, process, order or
-engine it is drawn.
+A counter-based generator has no state: run 7 of a submap gets the same noise in any batch, process, order and engine.
 """
 
 import math
@@ -25,11 +24,11 @@ class Noise:
 
     def of_runs(self, count: int, points: int) -> np.ndarray:
         """Return the noise of `count` runs, (count, points, 3) float32 in metres."""
-        found = np.empty((count, 3, points), np.float32)
-        first, *how = self.draws()
-        for run, (x, y, z) in enumerate(found):
-            fill(x, y, z, first + run, *how)
-        return found.transpose(0, 2, 1)
+        noise = np.empty((count, 3, points), np.float32)
+        first, low, high, sigma = self.draws()
+        for run, (x, y, z) in enumerate(noise):
+            fill(x, y, z, first + run, low, high, sigma)
+        return noise.transpose(0, 2, 1)
 
     def draws(self) -> tuple[int, np.uint32, np.uint32, np.float32]:
         """Return the first run, the key's lower and upper half, and sigma: what kernels take."""

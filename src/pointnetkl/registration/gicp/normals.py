@@ -1,4 +1,4 @@
-"""Normals of a cloud from its points' neighbours, and of noisy copies of it by what the noise adds to their scatter."""
+"""Normals of a cloud, from the scatter of each point's neighbours; and of noisy copies, from what noise adds to it."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from pointnetkl.registration.gicp.device import device, kernel
 
-_f32, _at = np.float32, np.uint64  # an index without a sign needs no check for one
+_f32, _u64 = np.float32, np.uint64  # an index without a sign needs no check for one
 _NINE = 9  # numbers of a neighbourhood: three of a mean, six of a scatter
 ROW = 16  # floats from one point's nine to the next one's: a cache line
 LANES = 16  # points of a block: what one instruction handles
@@ -16,8 +16,9 @@ _NEWTON_STEPS = 8
 def neighbourhoods(points: np.ndarray, lists: np.ndarray) -> np.ndarray:
     """Return the mean and scatter of each point's neighbours, (blocks, 9, 16) float32, a block for 16 points.
 
-    Points are (n, 3) in metres, neighbours (n, k), or (m, k) of m of them. The nine are x, y, z of the mean and xx, xy,
-    xz, yy, yz, zz of the scatter, a sum over the neighbours in m^2. What a last block lacks is zero.
+    Points are (n, 3) in metres; `lists` are the neighbours (n, k), or (m, k) of m of the points. The nine numbers are
+    x, y, z of the mean, and xx, xy, xz, yy, yz, zz of the scatter, a sum over the neighbours in m^2. The last block is
+    filled up with zeros.
     """
     near = np.asarray(points, np.float64)[lists]
     mean = near.mean(axis=1)
@@ -28,7 +29,7 @@ def neighbourhoods(points: np.ndarray, lists: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(table.reshape(-1, LANES, _NINE).transpose(0, 2, 1))
 
 
-def of_neighbourhoods(clean: np.ndarray, count: int) -> np.ndarray:
+def from_neighbourhoods(clean: np.ndarray, count: int) -> np.ndarray:
     """Return unit normals (count, 3) float32, upwards, of the first points of neighbourhoods (blocks, 9, 16)."""
     normals = np.empty(clean.size // _NINE * 3, np.float32)
     _finish(clean.reshape(-1), np.zeros(clean.size, np.float32), _f32(1), normals)
@@ -51,11 +52,11 @@ def of_copy(points, noise, clean, lists, rows, sums, normals):  # type: ignore[n
 @kernel
 def _fill_rows(x, y, z, ex, ey, ez, rows):  # type: ignore[no-untyped-def]
     for i in range(len(x)):
-        r = _at(ROW * i)
-        rows[r], rows[r + _at(1)], rows[r + _at(2)] = ex[i], ey[i], ez[i]
+        r = _u64(ROW * i)
+        rows[r], rows[r + _u64(1)], rows[r + _u64(2)] = ex[i], ey[i], ez[i]
         xx, xy, xz, yy, yz, zz = growth(x[i], y[i], z[i], ex[i], ey[i], ez[i])
-        rows[r + _at(3)], rows[r + _at(4)], rows[r + _at(5)] = xx, xy, xz
-        rows[r + _at(6)], rows[r + _at(7)], rows[r + _at(8)] = yy, yz, zz
+        rows[r + _u64(3)], rows[r + _u64(4)], rows[r + _u64(5)] = xx, xy, xz
+        rows[r + _u64(6)], rows[r + _u64(7)], rows[r + _u64(8)] = yy, yz, zz
 
 
 @device
@@ -71,48 +72,38 @@ def _add_rows(rows, lists, sums):  # type: ignore[no-untyped-def]
     for i in range(n):
         a = b = c = d = e = f = g = h = last = _f32(0)
         for j in range(k):
-            r = _at(ROW) * _at(lists[_at(i), _at(j)])
+            r = _u64(ROW) * _u64(lists[_u64(i), _u64(j)])
             a += rows[r]
-            b += rows[r + _at(1)]
-            c += rows[r + _at(2)]
-            d += rows[r + _at(3)]
-            e += rows[r + _at(4)]
-            f += rows[r + _at(5)]
-            g += rows[r + _at(6)]
-            h += rows[r + _at(7)]
-            last += rows[r + _at(8)]
-        s = _at((i // LANES * _NINE) * LANES + i % LANES)
-        sums[s], sums[s + _at(LANES)], sums[s + _at(2 * LANES)], sums[s + _at(3 * LANES)], sums[s + _at(4 * LANES)] = (
-            a,
-            b,
-            c,
-            d,
-            e,
-        )
-        sums[s + _at(5 * LANES)], sums[s + _at(6 * LANES)], sums[s + _at(7 * LANES)], sums[s + _at(8 * LANES)] = (
-            f,
-            g,
-            h,
-            last,
-        )
+            b += rows[r + _u64(1)]
+            c += rows[r + _u64(2)]
+            d += rows[r + _u64(3)]
+            e += rows[r + _u64(4)]
+            f += rows[r + _u64(5)]
+            g += rows[r + _u64(6)]
+            h += rows[r + _u64(7)]
+            last += rows[r + _u64(8)]
+        s = _u64((i // LANES * _NINE) * LANES + i % LANES)
+        sums[s], sums[s + _u64(LANES)], sums[s + _u64(2 * LANES)] = a, b, c
+        sums[s + _u64(3 * LANES)], sums[s + _u64(4 * LANES)], sums[s + _u64(5 * LANES)] = d, e, f
+        sums[s + _u64(6 * LANES)], sums[s + _u64(7 * LANES)], sums[s + _u64(8 * LANES)] = g, h, last
 
 
 @kernel
 def _finish(clean, sums, share, normals):  # type: ignore[no-untyped-def]
     for block in range(len(clean) // (_NINE * LANES)):
         for lane in range(LANES):
-            i = _at(block * _NINE * LANES + lane)
-            o = _at(3 * (block * LANES + lane))
-            mx, my, mz = clean[i], clean[i + _at(LANES)], clean[i + _at(2 * LANES)]
-            sx, sy, sz = sums[i], sums[i + _at(LANES)], sums[i + _at(2 * LANES)]
+            i = _u64(block * _NINE * LANES + lane)
+            o = _u64(3 * (block * LANES + lane))
+            mx, my, mz = clean[i], clean[i + _u64(LANES)], clean[i + _u64(2 * LANES)]
+            sx, sy, sz = sums[i], sums[i + _u64(LANES)], sums[i + _u64(2 * LANES)]
             tx, ty, tz = mx + share * sx, my + share * sy, mz + share * sz
-            normals[o], normals[o + _at(1)], normals[o + _at(2)] = normal(
-                clean[i + _at(3 * LANES)] + sums[i + _at(3 * LANES)] - mx * sx - tx * sx,
-                clean[i + _at(4 * LANES)] + sums[i + _at(4 * LANES)] - my * sx - tx * sy,
-                clean[i + _at(5 * LANES)] + sums[i + _at(5 * LANES)] - mz * sx - tx * sz,
-                clean[i + _at(6 * LANES)] + sums[i + _at(6 * LANES)] - my * sy - ty * sy,
-                clean[i + _at(7 * LANES)] + sums[i + _at(7 * LANES)] - mz * sy - ty * sz,
-                clean[i + _at(8 * LANES)] + sums[i + _at(8 * LANES)] - mz * sz - tz * sz,
+            normals[o], normals[o + _u64(1)], normals[o + _u64(2)] = normal(
+                clean[i + _u64(3 * LANES)] + sums[i + _u64(3 * LANES)] - mx * sx - tx * sx,
+                clean[i + _u64(4 * LANES)] + sums[i + _u64(4 * LANES)] - my * sx - tx * sy,
+                clean[i + _u64(5 * LANES)] + sums[i + _u64(5 * LANES)] - mz * sx - tx * sz,
+                clean[i + _u64(6 * LANES)] + sums[i + _u64(6 * LANES)] - my * sy - ty * sy,
+                clean[i + _u64(7 * LANES)] + sums[i + _u64(7 * LANES)] - mz * sy - ty * sz,
+                clean[i + _u64(8 * LANES)] + sums[i + _u64(8 * LANES)] - mz * sz - tz * sz,
             )
 
 
@@ -135,10 +126,10 @@ def normal(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     y = uy if take_u else (vy if take_v else wy)
     z = uz if take_u else (vz if take_v else wz)
     square = x * x + y * y + z * z
-    known = square > _f32(1e-30)
-    length = _f32(1) / math.sqrt(square) if known else _f32(0)
+    has_length = square > _f32(1e-30)
+    length = _f32(1) / math.sqrt(square) if has_length else _f32(0)
     length = -length if z < 0 else length
-    return x * length, y * length, (z * length if known else _f32(1))
+    return x * length, y * length, (z * length if has_length else _f32(1))
 
 
 @device
@@ -150,6 +141,6 @@ def _smallest_eigenvalue(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def
     value = _f32(0)
     for _ in range(_NEWTON_STEPS):
         slope = minors + value * (_f32(3) * value - _f32(2))
-        left = determinant + value * (value * (_f32(1) - value) - minors)
-        value += left / slope if slope > _f32(1e-20) else _f32(0)
+        residual = determinant + value * (value * (_f32(1) - value) - minors)
+        value += residual / slope if slope > _f32(1e-20) else _f32(0)
     return value

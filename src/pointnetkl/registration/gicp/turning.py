@@ -7,7 +7,7 @@ import numpy as np
 from pointnetkl.registration.gicp import weights
 from pointnetkl.registration.gicp.device import device, kernel
 
-_f32, _at = np.float32, np.uint64
+_f32, _u64 = np.float32, np.uint64
 
 
 @device
@@ -20,18 +20,18 @@ def lever(x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fill_sums(state, target, epsilon, sums, x, y, yaw):  # type: ignore[no-untyped-def]
-    """Fill the nine sums of a step, all made anew, of the source moved by (x, y, yaw)."""
-    px, py, pz, n = state.points[0], state.points[1], state.points[2], state.normals
-    cosine, sine, tx, ty = _f32(math.cos(yaw)), _f32(math.sin(yaw)), _f32(x), _f32(y)
+def fill_sums(copy, target, motion, epsilon, sums):  # type: ignore[no-untyped-def]
+    """Fill the nine sums of a step, all computed anew, of a kernel's Copy after its Motion."""
+    px, py, pz, n, matches = copy.x, copy.y, copy.z, copy.normals, copy.matches
+    cosine, sine, tx, ty = _f32(math.cos(motion.yaw)), _f32(math.sin(motion.yaw)), _f32(motion.x), _f32(motion.y)
     sums[:] = 0
     for i in range(len(px)):
-        if state.matches[i] >= 0:
+        if matches[i] >= 0:
             rx, ry = cosine * px[i] - sine * py[i], sine * px[i] + cosine * py[i]
             ax, ay = cosine * n[3 * i] - sine * n[3 * i + 1], sine * n[3 * i] + cosine * n[3 * i + 1]
             xx, xy, yy, gx, gy = weights.weigh(
                 rx + tx, ry + ty, pz[i], ax, ay, n[3 * i + 2],
-                target.points, target.normals, _at(3) * _at(state.matches[i]), epsilon,
+                target.points, target.normals, _u64(3) * _u64(matches[i]), epsilon,
             )  # fmt: skip
             # the column of yaw in the Jacobian is (-ry, rx)
             x_yaw, y_yaw = xy * rx - xx * ry, yy * rx - xy * ry
@@ -43,11 +43,11 @@ def fill_sums(state, target, epsilon, sums, x, y, yaw):  # type: ignore[no-untyp
 @device
 def solve(sums):  # type: ignore[no-untyped-def]
     """Return a step's x, y in metres and yaw in radians of its nine sums."""
-    # by Schur: yaw first, then x and y given yaw; a cloud of one place cannot turn
+    # by the Schur complement: yaw first, then x and y given yaw; a cloud of a single place cannot turn
     xx, xy, yy, gx, gy, x_yaw, y_yaw, yaw_yaw, g_yaw = sums
     determinant = xx * yy - xy * xy
     ux, uy = (yy * x_yaw - xy * y_yaw) / determinant, (xx * y_yaw - xy * x_yaw) / determinant
-    left = yaw_yaw - ux * x_yaw - uy * y_yaw
-    turn = (g_yaw - ux * gx - uy * gy) / left if left > 1e-12 * yaw_yaw else 0.0
+    schur = yaw_yaw - ux * x_yaw - uy * y_yaw
+    turn = (g_yaw - ux * gx - uy * gy) / schur if schur > 1e-12 * yaw_yaw else 0.0
     fx, fy = gx - turn * x_yaw, gy - turn * y_yaw
     return (yy * fx - xy * fy) / determinant, (xx * fy - xy * fx) / determinant, turn

@@ -4,7 +4,7 @@ import numpy as np
 
 from pointnetkl.registration.gicp.device import device
 
-_f32, _at = np.float32, np.uint64
+_f32, _u64 = np.float32, np.uint64
 TERMS = 5  # numbers of a match in the sums
 
 
@@ -17,8 +17,8 @@ def weigh(px, py, pz, ax, ay, az, points, normals, j, epsilon):  # type: ignore[
     S = [[same, cross], [cross, same]].
     """
     half = _f32(0.5)
-    bx, by, bz = normals[j], normals[j + _at(1)], normals[j + _at(2)]
-    dx, dy, dz = points[j] - px, points[j + _at(1)] - py, points[j + _at(2)] - pz
+    bx, by, bz = normals[j], normals[j + _u64(1)], normals[j + _u64(2)]
+    dx, dy, dz = points[j] - px, points[j + _u64(1)] - py, points[j + _u64(2)] - pz
     w, m = _f32(1) - epsilon, _f32(1) + epsilon
     c = w * (ax * bx + ay * by + az * bz)
     scale = half * w / (m * m - c * c)

@@ -1,1 +1,1 @@
-"""Registration of noisy copies on an NVIDIA GPU; it has run on a simulated one only, so it is experimental."""
+"""Registration of noisy copies on an NVIDIA GPU. Experimental: it has run on a simulated GPU only."""

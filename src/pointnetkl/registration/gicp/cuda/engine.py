@@ -1,4 +1,4 @@
-"""The engine on an NVIDIA GPU: clouds to the GPU, noisy copies by the thousand in one launch, and back."""
+"""The experimental engine for an NVIDIA GPU: it copies clouds there, and registers noisy copies by the thousand."""
 
 import math
 import threading
@@ -9,11 +9,10 @@ from numba import cuda
 from numba.core import config
 
 from pointnetkl.registration.gicp import kernel, matching, weights
+from pointnetkl.registration.gicp.cloud import Cloud, GicpError
 from pointnetkl.registration.gicp.cuda import kernel as cuda_kernel
 from pointnetkl.registration.gicp.cuda import matching as cuda_matching
 from pointnetkl.registration.gicp.noise import Noise
-from pointnetkl.registration.gicp.registration import Cloud, GicpError, Registrations
-from pointnetkl.surveys.se2 import SE2
 
 _THREADS = 128  # of a block, a power of two
 _BLOCKS = 6  # of a multiprocessor: what its registers hold
@@ -22,42 +21,44 @@ _ROOM_BYTES = 1 << 29  # for what the blocks of one call keep
 
 def register_noisy(
     source: Cloud, target: Cloud, translations: np.ndarray, noise: Noise, limits: kernel.Limits
-) -> Registrations:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Register copies of the source onto the target as `gicp.register_noisy` does, up to the rounding of float32.
 
-    Calls of several threads overlap on the GPU, where each keeps up to a GiB for the thread's next call.
+    Returns translations (b, 2) in metres, iterations (b,) and whether each converged (b,). Calls of several threads
+    overlap on the GPU, where each keeps up to a GiB for the thread's next call.
 
     Raises:
-        GicpError: there is no GPU or no numba-cuda, yaw or the clean normals are asked for, or the source is too large.
+        GicpError: there is no GPU or no numba-cuda, yaw is asked for, or the source is too large.
     """
-    if limits.yaw or not limits.recompute:
+    if limits.with_yaw:
         raise GicpError(
-            "the engine cuda finds x and y alone, with normals of the copy; choose label.engine cpu for"
-            " registration.dof xyyaw"
+            "the experimental engine cuda finds x and y alone; set label.engine to cpu, which finds yaw too, or"
+            " registration.dof to xy"
         )
     require_gpu()
     if len(translations) == 0:
-        return Registrations(SE2(np.zeros((0, 2)), np.zeros(0)), np.zeros(0, np.bool_), np.zeros(0, np.int32))
+        return np.zeros((0, 2)), np.zeros(0, np.int32), np.zeros(0, np.bool_)
     if not hasattr(_own, "lane"):
         _own.lane = Lane()
     return launch(_own.lane, arguments(_own.lane, source, target, translations, noise, limits))
 
 
 def require_gpu() -> None:
-    """See that the engine can run here.
+    """Check that the engine can run here.
 
     Raises:
         GicpError: there is no GPU or no numba-cuda.
     """
     if not cuda.is_available() or (cuda.implementation == "Built-in" and not config.ENABLE_CUDASIM):
         raise GicpError(
-            "the engine cuda needs an NVIDIA GPU with its driver, and numba-cuda (pip install -e '.[cuda]', or"
-            " '.[cuda12]'); at least one is missing here: install it, or choose the engine cpu"
+            "the engine cuda (experimental: it has run on a simulator only) needs an NVIDIA GPU with its driver, and"
+            " numba-cuda (pip install -e '.[cuda]', or '.[cuda12]'); at least one is missing here: install it, or set"
+            " label.engine to cpu"
         )
 
 
 class Lane:
-    """A thread's stream, and its arrays on the GPU, kept from call to call because to free one halts every stream."""
+    """A thread's stream and its arrays on the GPU, which are kept between calls: freeing one halts all streams."""
 
     def __init__(self) -> None:
         """Open a stream on the current GPU."""
@@ -68,7 +69,7 @@ class Lane:
         self._arrays: dict[str, Any] = {}
 
     def empty(self, name: str, shape: tuple[int, ...], dtype: type) -> Any:
-        """Return room on the GPU, with whatever stands in it."""
+        """Return an array on the GPU with undefined contents."""
         size = math.prod(shape)
         if name not in self._arrays or self._arrays[name].size < size:
             self._arrays[name] = cuda.device_array(size + size // 4, dtype, stream=self.stream)
@@ -76,27 +77,27 @@ class Lane:
 
     def put(self, name: str, array: np.ndarray) -> Any:
         """Return a copy on the GPU."""
-        there = self.empty(name, array.shape, array.dtype.type)
-        there.copy_to_device(np.ascontiguousarray(array), stream=self.stream)
-        return there
+        on_gpu = self.empty(name, array.shape, array.dtype.type)
+        on_gpu.copy_to_device(np.ascontiguousarray(array), stream=self.stream)
+        return on_gpu
 
     def get(self, array: Any) -> np.ndarray:
-        """Return a copy from the GPU, once all that was asked for before is done."""
-        here = array.copy_to_host(stream=self.stream)
+        """Return a copy from the GPU, after all earlier work of the stream."""
+        on_host = array.copy_to_host(stream=self.stream)
         self.stream.synchronize()
-        return np.asarray(here)
+        return np.asarray(on_host)
 
 
 _own = threading.local()
 
 
-def launch(lane: Lane, given: tuple[Any, ...]) -> Registrations:
-    """Run the kernel once with what `arguments` returned, and fetch what it found."""
-    *_, room, found = given
+def launch(lane: Lane, arguments: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Run the kernel once with what `arguments` returned; fetch translations, iterations and who converged."""
+    *_, room, outcomes = arguments
     shared = cuda_kernel.shared_bytes(_THREADS)
-    cuda_kernel.register_noisy[len(room.matches), _THREADS, lane.stream, shared](*given)
-    translation, iterations, converged, _ = (lane.get(array) for array in found)
-    return Registrations(SE2(translation, np.zeros(len(translation))), converged, iterations)
+    cuda_kernel.register_noisy[len(room.matches), _THREADS, lane.stream, shared](*arguments)
+    translations, iterations, converged, _ = (lane.get(array) for array in outcomes)
+    return translations, iterations, converged
 
 
 def arguments(
@@ -116,11 +117,11 @@ def arguments(
         noise.draws(),
         limits,
         _room(lane, n, runs),
-        cuda_kernel.Found(
+        cuda_kernel.Outcomes(
             lane.empty("translations", (runs, 2), np.float64),
             lane.empty("iterations", (runs,), np.int32),
             lane.empty("converged", (runs,), np.bool_),
-            lane.put("begun", np.zeros(1, np.int32)),
+            lane.put("started", np.zeros(1, np.int32)),
         ),
     )
 
@@ -139,7 +140,7 @@ def _room(lane: Lane, n: int, runs: int) -> cuda_kernel.Room:
     if fitting < 1:
         raise GicpError(
             f"a cloud of {n} points is too large for the engine cuda, which has {_ROOM_BYTES >> 20} MiB for it;"
-            " thin it, or choose the engine cpu"
+            " thin it, or set label.engine to cpu"
         )
     blocks = min(runs, lane.blocks, fitting)
     whole_numbers = {"matches", "stale"}

@@ -17,7 +17,7 @@ from pointnetkl.registration.gicp import noise, normals, weights
 from pointnetkl.registration.gicp.cuda import matching
 from pointnetkl.registration.gicp.device import device
 
-_f32, _at = np.float32, np.uint64
+_f32, _u64 = np.float32, np.uint64
 _NEVER = _f32(1e30)  # metres
 # Six blocks' registers on a multiprocessor: what is spilled is used once in an iteration. The simulator has none.
 _OPTIONS = {"fastmath": True} | ({} if config.ENABLE_CUDASIM else {"max_registers": 80})
@@ -41,17 +41,17 @@ class Room(NamedTuple):
     stale: np.ndarray  # (blocks, 2, n) int32, the points to be searched now, and where in `deadlines` theirs stand
 
 
-class Found(NamedTuple):
-    """What became of b runs."""
+class Outcomes(NamedTuple):
+    """How b runs ended."""
 
     translations: np.ndarray  # (b, 2) float64 metres
     iterations: np.ndarray  # (b,) int32
     converged: np.ndarray  # (b,) bool
-    begun: np.ndarray  # (1,) int32, runs: each block takes the next one
+    started: np.ndarray  # (1,) int32, runs: each block takes the next one
 
 
 @cuda.jit(**_OPTIONS)
-def register_noisy(source, target, moves, draws, limits, room, found):  # type: ignore[no-untyped-def]
+def register_noisy(source, target, moves, draws, limits, room, outcomes):  # type: ignore[no-untyped-def]
     """Register copies of a Source, each moved by (x, y) of moves (b, 2) and noise, onto a target.
 
     The target is one of cuda_matching.interleaved. Blocks are of a power of two of threads, with `shared_bytes` of
@@ -60,14 +60,14 @@ def register_noisy(source, target, moves, draws, limits, room, found):  # type: 
     shared = cuda.shared.array(0, float64)
     b = cuda.blockIdx.x
     own = Room(room.points[b], room.normals[b], room.terms[b], room.matches[b], room.deadlines[b], room.stale[b])
-    run = _next(found.begun, shared)
+    run = _next(outcomes.started, shared)
     while run < len(moves):
         _make_copy(source, moves[run, 0], moves[run, 1], draws, run, own)
         x, y, iterations, converged = _align(own, target, limits, shared)
         if cuda.threadIdx.x == 0:
-            found.translations[run, 0], found.translations[run, 1] = x, y
-            found.iterations[run], found.converged[run] = iterations, converged
-        run = _next(found.begun, shared)
+            outcomes.translations[run, 0], outcomes.translations[run, 1] = x, y
+            outcomes.iterations[run], outcomes.converged[run] = iterations, converged
+        run = _next(outcomes.started, shared)
 
 
 def shared_bytes(threads: int) -> int:
@@ -76,10 +76,10 @@ def shared_bytes(threads: int) -> int:
 
 
 @cuda.jit(device=True)
-def _next(begun, shared):  # type: ignore[no-untyped-def]
+def _next(started, shared):  # type: ignore[no-untyped-def]
     cuda.syncthreads()
     if cuda.threadIdx.x == 0:
-        shared[0] = cuda.atomic.add(begun, 0, 1)
+        shared[0] = cuda.atomic.add(started, 0, 1)
     cuda.syncthreads()
     run = int(shared[0])
     cuda.syncthreads()
@@ -93,10 +93,10 @@ def _make_copy(source, by_x, by_y, draws, run, own):  # type: ignore[no-untyped-
     neighbours = len(source.lists) // n
     thread, threads = cuda.threadIdx.x, cuda.blockDim.x
     for k in range(share):
-        own.deadlines[_at(k * threads + thread)] = -1 if thread * share + k < n else _NEVER
+        own.deadlines[_u64(k * threads + thread)] = -1 if thread * share + k < n else _NEVER
     px, py, pz = own.points[0], own.points[1], own.points[2]
     for point in range(thread, n, threads):
-        i = _at(point)
+        i = _u64(point)
         x, y, z = noise.normal3(point, first + run, low, high)
         px[i] = source.points[0, i] + sigma * x + by_x
         py[i] = source.points[1, i] + sigma * y + by_y
@@ -106,7 +106,7 @@ def _make_copy(source, by_x, by_y, draws, run, own):  # type: ignore[no-untyped-
             own.terms[term, i] = 0
     cuda.syncthreads()
     for point in range(thread, n, threads):
-        i = _at(point)
+        i = _u64(point)
         own.normals[0, i], own.normals[1, i], own.normals[2, i] = _normal(px, py, pz, source.lists, neighbours, i)
 
 
@@ -114,15 +114,15 @@ def _make_copy(source, by_x, by_y, draws, run, own):  # type: ignore[no-untyped-
 def _normal(px, py, pz, lists, neighbours, i):  # type: ignore[no-untyped-def]
     # the copy's own scatter about the point, because reading 3 numbers of a neighbour costs more here than adding 9
     sx = sy = sz = xx = xy = xz = yy = yz = zz = _f32(0)
-    k, at = 0, i
+    k, entry = 0, i
     while k < neighbours:  # unlike a range, unrolled without a check in each turn
-        j = _at(lists[at])
+        j = _u64(lists[entry])
         x, y, z = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]
         sx, sy, sz = sx + x, sy + y, sz + z
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
         k += 1
-        at += _at(len(px))
+        entry += _u64(len(px))
     share = _f32(1) / _f32(neighbours)
     mx, my, mz = sx * share, sy * share, sz * share
     return normals.normal(xx - sx * mx, xy - sx * my, xz - sx * mz, yy - sy * my, yz - sy * mz, zz - sz * mz)
@@ -130,38 +130,38 @@ def _normal(px, py, pz, lists, neighbours, i):  # type: ignore[no-untyped-def]
 
 @cuda.jit(device=True)
 def _align(own, target, limits, shared):  # type: ignore[no-untyped-def]
-    # kernel._align in x and y; every thread takes the same decisions from the same sums
-    x = y = way = 0.0
+    # kernel.align in x and y; every thread takes the same decisions from the same sums
+    x = y = travel = 0.0
     iterations, converged = 0, False
     _clear_sums(shared)
-    while iterations < limits.iterations and not converged:
-        count = _list_stale(own, _f32(way), shared)
-        sums = _add_to_sums(_rematch(own, target, limits, count, x, y, _f32(way)), shared)
+    while iterations < limits.max_iterations and not converged:
+        count = _list_stale(own, _f32(travel), shared)
+        sums = _add_to_sums(_rematch(own, target, limits, count, x, y, _f32(travel)), shared)
         if sums[0] < 0.25:  # M is at least I / 2 for every match: there is none
             return 0.0, 0.0, iterations, False
         to_x, to_y = weights.solve(sums)
         step = math.sqrt((to_x - x) ** 2 + (to_y - y) ** 2)
-        x, y, way = to_x, to_y, way + step
+        x, y, travel = to_x, to_y, travel + step
         iterations += 1
         converged = step < limits.tolerance
     return x, y, iterations, converged
 
 
 @cuda.jit(device=True)
-def _list_stale(own, way, shared):  # type: ignore[no-untyped-def]
-    # Lists the points whose match the way so far may have changed, in ascending order; returns how many.
+def _list_stale(own, travel, shared):  # type: ignore[no-untyped-def]
+    # Lists the points whose match the motion so far may have changed, in ascending order; returns how many.
     thread, threads, share = cuda.threadIdx.x, cuda.blockDim.x, _share(own)
     count = k = 0
     while k < share:
-        count += not way < own.deadlines[_at(k * threads + thread)]
+        count += not travel < own.deadlines[_u64(k * threads + thread)]
         k += 1
-    to, total = _place(count, shared)
+    place, total = _place(count, shared)
     k = 0
     while k < share:
         slot = k * threads + thread
-        if not way < own.deadlines[_at(slot)]:
-            own.stale[0, _at(to)], own.stale[1, _at(to)] = thread * share + k, slot
-            to += 1
+        if not travel < own.deadlines[_u64(slot)]:
+            own.stale[0, _u64(place)], own.stale[1, _u64(place)] = thread * share + k, slot
+            place += 1
         k += 1
     cuda.syncthreads()
     return total
@@ -185,21 +185,21 @@ def _place(count, shared):  # type: ignore[no-untyped-def]
         shared[thread] += before
         cuda.syncthreads()
         span *= 2
-    found = int(shared[thread]) - count, int(shared[threads - 1])
+    place = int(shared[thread]) - count, int(shared[threads - 1])
     cuda.syncthreads()
-    return found
+    return place
 
 
 @cuda.jit(device=True)
-def _rematch(own, target, limits, count, x, y, way):  # type: ignore[no-untyped-def]
+def _rematch(own, target, limits, count, x, y, travel):  # type: ignore[no-untyped-def]
     # Searches the listed points; returns how this thread's changed matches change the sums.
     xx = xy = yy = gx = gy = 0.0
     tx, ty = _f32(x), _f32(y)
     for s in range(cuda.threadIdx.x, count, cuda.blockDim.x):
-        i = _at(own.stale[0, _at(s)])
+        i = _u64(own.stale[0, _u64(s)])
         px, py, pz = own.points[0, i], own.points[1, i], own.points[2, i]
-        near, near_m, other_m = matching.nearest(px + tx, py + ty, pz, target, limits.farthest)
-        own.deadlines[_at(own.stale[1, _at(s)])] = _f32(0.5) * (other_m - near_m) - target.margin + way
+        near, near_m, other_m = matching.nearest(px + tx, py + ty, pz, target, limits.max_distance)
+        own.deadlines[_u64(own.stale[1, _u64(s)])] = _f32(0.5) * (other_m - near_m) - target.margin + travel
         if near != own.matches[i]:
             own.matches[i] = near
             new = _weigh(px, py, pz, own.normals[0, i], own.normals[1, i], own.normals[2, i], target, near, limits)
@@ -215,7 +215,7 @@ def _weigh(px, py, pz, ax, ay, az, target, match, limits):  # type: ignore[no-un
     xx = xy = yy = gx = gy = _f32(0)
     if match >= 0:
         xx, xy, yy, gx, gy = weights.weigh(
-            px, py, pz, ax, ay, az, target.points, target.normals, _at(3) * _at(match), limits.epsilon
+            px, py, pz, ax, ay, az, target.points, target.normals, _u64(3) * _u64(match), limits.epsilon
         )
     return xx, xy, yy, gx, gy
 
@@ -231,13 +231,13 @@ def _clear_sums(shared):  # type: ignore[no-untyped-def]
 @cuda.jit(device=True)
 def _add_to_sums(changes, shared):  # type: ignore[no-untyped-def]
     thread, half, kept = cuda.threadIdx.x, cuda.blockDim.x // 2, weights.TERMS * cuda.blockDim.x
-    at = weights.TERMS * thread
-    shared[at], shared[at + 1], shared[at + 2], shared[at + 3], shared[at + 4] = changes
+    own = weights.TERMS * thread
+    shared[own], shared[own + 1], shared[own + 2], shared[own + 3], shared[own + 4] = changes
     cuda.syncthreads()
     while half > 0:
         if thread < half:
             for term in range(weights.TERMS):
-                shared[at + term] += shared[at + weights.TERMS * half + term]
+                shared[own + term] += shared[own + weights.TERMS * half + term]
         cuda.syncthreads()
         half //= 2
     if thread < weights.TERMS:

@@ -12,7 +12,7 @@ import numpy as np
 from pointnetkl.registration.gicp import matching
 from pointnetkl.registration.gicp.device import device
 
-_f32, _i32, _at = np.float32, np.int32, np.uint64
+_f32, _i32, _u64 = np.float32, np.int32, np.uint64
 _TILE = 32  # cells, a power of two, whose candidates stand interleaved
 
 
@@ -33,34 +33,34 @@ def interleaved(target: matching.Target) -> matching.Target:
 
 
 @device
-def nearest(x, y, z, to, farthest):  # type: ignore[no-untyped-def]
-    """Return the nearest point, -1: none within `farthest`, and the distances of the two nearest, at most that."""
-    inverse = _f32(1) / to.cell
-    column = min(max(_i32((x - to.x0) * inverse), _i32(0)), _i32(to.columns - 1))
-    row = min(max(_i32((y - to.y0) * inverse), _i32(0)), _i32(to.rows - 1))
-    cell = _at(column * to.rows + row)
-    start = (cell // _at(_TILE)) * _at(matching.CANDIDATES * _TILE) + cell % _at(_TILE)
-    first, second = _least_two(x, y, z, to.candidates, to.numbers, start)
-    near = to.numbers[start + _at(first & matching.RANK) * _at(_TILE)]
+def nearest(x, y, z, target, max_distance):  # type: ignore[no-untyped-def]
+    """Return the nearest point, -1: none within max_distance, and the distances of the two nearest, at most that."""
+    inverse = _f32(1) / target.cell
+    column = min(max(_i32((x - target.x0) * inverse), _i32(0)), _i32(target.columns - 1))
+    row = min(max(_i32((y - target.y0) * inverse), _i32(0)), _i32(target.rows - 1))
+    cell = _u64(column * target.rows + row)
+    start = (cell // _u64(_TILE)) * _u64(matching.CANDIDATES * _TILE) + cell % _u64(_TILE)
+    first, second = _least_two(x, y, z, target.candidates, target.numbers, start)
+    near = target.numbers[start + _u64(first & matching.RANK) * _u64(_TILE)]
     near_m, other_m = matching.distance(first), matching.distance(second)
-    dx = x - (to.x0 + (_f32(column) + _f32(0.5)) * to.cell)
-    dy = y - (to.y0 + (_f32(row) + _f32(0.5)) * to.cell)
-    if other_m + math.sqrt(dx * dx + dy * dy) > to.reach[cell]:
-        within = min(farthest, other_m * _f32(1.00001) + to.margin)
-        near, _, near_m, other_m = matching.search(x, y, z, within, _i32(-1), _i32(-1), to)
-    if near_m >= farthest:
+    dx = x - (target.x0 + (_f32(column) + _f32(0.5)) * target.cell)
+    dy = y - (target.y0 + (_f32(row) + _f32(0.5)) * target.cell)
+    if other_m + math.sqrt(dx * dx + dy * dy) > target.reach[cell]:
+        within = min(max_distance, other_m * _f32(1.00001) + target.margin)
+        near, _, near_m, other_m = matching.search(x, y, z, within, _i32(-1), _i32(-1), target)
+    if near_m >= max_distance:
         near = _i32(-1)
-    return _i32(near), min(near_m, farthest), min(other_m, farthest)
+    return _i32(near), min(near_m, max_distance), min(other_m, max_distance)
 
 
 @device
 def _least_two(x, y, z, points, numbers, start):  # type: ignore[no-untyped-def]
     # matching's keys, each made once
     first = second = matching.NONE
-    size = _at(len(points)) // _at(3)
+    size = _u64(len(points)) // _u64(3)
     rank = _i32(0)
     while rank < matching.CANDIDATES:  # unlike a range, unrolled
-        j = _at(numbers[start + _at(rank) * _at(_TILE)])
+        j = _u64(numbers[start + _u64(rank) * _u64(_TILE)])
         dx, dy, dz = points[j] - x, points[size + j] - y, points[size + size + j] - z
         square = _f32(dx * dx + dy * dy + dz * dz)
         key = _i32((square.view(np.int32) & ~matching.RANK) | rank)
