@@ -1,4 +1,4 @@
-"""Loop closures with the ellipses of what was said of their errors, over the survey and, some of them, to scale."""
+"""Figure of loop closures: the covariances' ellipses on a map of the survey, and some of them to scale."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,69 +13,70 @@ from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import families, maps, plots, sheet
 
 _CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 48, endpoint=False)), np.sin(t)])
-_REACH = 0.03  # of the map's longer side, that the larger ellipses have as semi-axis
+_REACH = 0.03  # semi-axis of the larger ellipses on the map, over the map's longer side
 _GAP_IN, _LINE_IN, _ZOOMS = 0.12, 0.2, 8
 _INSIDE, _OUTSIDE = plots.BLUE, plots.ORANGE
 
 
 @dataclass(frozen=True)
-class Closures:
-    """One survey's registrations of the paper's graph, and its seabed as a raster (`maps.raster`)."""
+class ClosureMap:
+    """The registrations of one survey's graph, and its seabed as a raster (`maps.raster`)."""
 
     submap: np.ndarray  # (r,) numbers
-    place: np.ndarray  # (r, 2) where each submap is, metres in the map frame
-    yaw: np.ndarray  # (r,) and its yaw there, radians
+    position: np.ndarray  # (r, 2) of each submap, metres in the map frame
+    yaw: np.ndarray  # (r,) of each submap, radians
     error: np.ndarray  # (r, 2) of each registration against the truth, metres in the submap's frame; NaN if not known
     covariances: Mapping[str, np.ndarray]  # by method, (r, 2, 2) in m^2 in the submap's frame
     seabed: tuple[np.ndarray, tuple[float, float, float, float]]
 
 
-def closures(surveys: Mapping[str, Closures]) -> Figure:
-    """Draw every registration's 95 % ellipse by method, magnified, and below it some to scale with their errors."""
+def closure_ellipses(surveys: Mapping[str, ClosureMap]) -> Figure:
+    """Draw each registration's 95 % ellipse by method, magnified; below, some to scale with their errors."""
     if not surveys:
         return sheet.nothing("no test survey has loop closures")
-    across = max(len(each.covariances) for each in surveys.values())
+    across = max(len(survey.covariances) for survey in surveys.values())
     width = (plots.WIDTH_IN - 0.2) / across - _GAP_IN
-    corners = {name: _corners(each) for name, each in surveys.items()}
+    corners = {name: _corners(survey) for name, survey in surveys.items()}
     heights = {name: sheet.height(c, width) + _zoom_width() + 3 * _LINE_IN + 0.25 for name, c in corners.items()}
     figure, top = sheet.sheet(0.3 + sum(heights.values())), 0.3
-    _key(figure, dict.fromkeys(method for each in surveys.values() for method in each.covariances))
-    for name, each in surveys.items():
-        _survey(figure, name, each, (top, width), corners[name])
+    _key(figure, dict.fromkeys(method for survey in surveys.values() for method in survey.covariances))
+    for name, survey in surveys.items():
+        _survey(figure, name, survey, (top, width), corners[name])
         top += heights[name]
     return figure
 
 
 def ellipses(q: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Return the 95 % ellipses in the map frame, (r, k, 2) metres, of covariances (r, 2, 2) of turned submaps."""
+    """Return the 95 % ellipses (r, k, 2) in the map frame, metres, of covariances q (r, 2, 2) in submaps' frames."""
     c, s = np.cos(yaw), np.sin(yaw)
     R_map_submap = np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
     return np.swapaxes(plots.RADIUS_95 * R_map_submap @ np.linalg.cholesky(q) @ _CIRCLE, 1, 2)
 
 
 def inside(error: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return which errors (r, 2) the 95 % ellipses of q (r, 2, 2) hold."""
+    """Return whether each error (r, 2) lies inside the 95 % ellipse of its covariance in q (r, 2, 2)."""
     whitened = np.linalg.solve(np.linalg.cholesky(q), error[..., None])[..., 0]
     return np.asarray(np.linalg.norm(whitened, axis=1) <= plots.RADIUS_95)
 
 
-def _survey(figure: Figure, name: str, of: Closures, place: tuple[float, float], corners: np.ndarray) -> None:
+def _survey(figure: Figure, name: str, closures: ClosureMap, place: tuple[float, float], corners: np.ndarray) -> None:
+    """Draw a survey's maps, side by side at `place` (top and width, inches), and below them some ellipses to scale."""
     top, width = place
-    factor = _magnification(of, corners)
+    factor = _magnification(closures, corners)
     sheet.write(figure, 0.1, top, f"{paper.title(name)}: 95 % ellipses × {factor:g}", 10)
-    for i, (method, q) in enumerate(of.covariances.items()):
-        left, held = 0.1 + i * (width + _GAP_IN), inside(of.error, q)
-        share = f": {held.mean():.0%} of {len(held)} errors inside" if np.isfinite(of.error).all() else ""
+    for i, (method, q) in enumerate(closures.covariances.items()):
+        left, held = 0.1 + i * (width + _GAP_IN), inside(closures.error, q)
+        share = f": {held.mean():.0%} of {len(held)} errors inside" if np.isfinite(closures.error).all() else ""
         sheet.write(figure, left, top + _LINE_IN, method + share)
         axes = sheet.panel(figure, left, top + 2 * _LINE_IN, width, corners)
-        _ground(axes, *of.seabed)
-        colours = np.where(np.isnan(of.error[:, 0]), plots.GREY, np.where(held, _INSIDE, _OUTSIDE))
-        outlines = of.place[:, None] + factor * ellipses(q, of.yaw)
-        drawn = PolyCollection(list(outlines), facecolors="none", edgecolors=colours, linewidths=0.9)
-        axes.add_collection(drawn, autolim=False)
-        axes.scatter(of.place[:, 0], of.place[:, 1], c=colours, s=3, linewidths=0, zorder=4)
+        _ground(axes, *closures.seabed)
+        colours = np.where(np.isnan(closures.error[:, 0]), plots.GREY, np.where(held, _INSIDE, _OUTSIDE))
+        outlines = closures.position[:, None] + factor * ellipses(q, closures.yaw)
+        polygons = PolyCollection(list(outlines), facecolors="none", edgecolors=colours, linewidths=0.9)
+        axes.add_collection(polygons, autolim=False)
+        axes.scatter(closures.position[:, 0], closures.position[:, 1], c=colours, s=3, linewidths=0, zorder=4)
         sheet.scale_bar(axes)
-    _zooms(figure, of, top + 2 * _LINE_IN + sheet.height(corners, width) + 0.08)
+    _zooms(figure, closures, top + 2 * _LINE_IN + sheet.height(corners, width) + 0.08)
 
 
 def _ground(axes: Axes, depth: np.ndarray, extent: tuple[float, float, float, float]) -> None:
@@ -83,20 +84,19 @@ def _ground(axes: Axes, depth: np.ndarray, extent: tuple[float, float, float, fl
     axes.imshow(shade, origin="lower", extent=extent, cmap="gray", clim=(-1.5, 1), aspect="auto")
 
 
-def _zooms(figure: Figure, of: Closures, top: float) -> None:
+def _zooms(figure: Figure, closures: ClosureMap, top: float) -> None:
     """Draw some registrations to scale, from the largest to the smallest covariance of the first method."""
-    size = np.trace(next(iter(of.covariances.values())), axis1=1, axis2=2)
+    size = np.trace(next(iter(closures.covariances.values())), axis1=1, axis2=2)
     order = np.argsort(-size, kind="stable")
-    chosen = order[np.linspace(0, len(order) - 1, min(_ZOOMS, len(order))).round().astype(int)]
-    for column, i in enumerate(chosen):
+    some = order[np.linspace(0, len(order) - 1, min(_ZOOMS, len(order))).round().astype(int)]
+    for column, i in enumerate(some):
         left = 0.1 + column * (_zoom_width() + _GAP_IN / 2)
-        sheet.write(figure, left, top, f"submap {of.submap[i]}", 7)
-        outlines = {method: ellipses(q[[i]], of.yaw[[i]])[0] for method, q in of.covariances.items()}
-        reach = 1.15 * max(
-            np.linalg.norm(each, axis=-1).max() for each in (*outlines.values(), np.nan_to_num(of.error[i]))
-        )
+        sheet.write(figure, left, top, f"submap {closures.submap[i]}", 7)
+        outlines = {method: ellipses(q[[i]], closures.yaw[[i]])[0] for method, q in closures.covariances.items()}
+        points = np.concatenate([*outlines.values(), np.nan_to_num(closures.error[[i]])])
+        reach = 1.15 * np.linalg.norm(points, axis=-1).max()
         axes = sheet.panel(figure, left, top + 0.15, _zoom_width(), reach * np.array([[-1.0, -1.0], [1.0, 1.0]]))
-        _zoom(axes, outlines, of.error[i], of.yaw[i])
+        _zoom(axes, outlines, closures.error[i], closures.yaw[i])
 
 
 def _zoom(axes: Axes, outlines: Mapping[str, np.ndarray], error: np.ndarray, yaw: float) -> None:
@@ -108,14 +108,14 @@ def _zoom(axes: Axes, outlines: Mapping[str, np.ndarray], error: np.ndarray, yaw
     sheet.scale_bar(axes)
 
 
-def _magnification(of: Closures, corners: np.ndarray) -> float:
-    largest = np.sqrt([np.linalg.eigvalsh(q)[:, -1] for q in of.covariances.values()])
+def _magnification(closures: ClosureMap, corners: np.ndarray) -> float:
+    largest = np.sqrt([np.linalg.eigvalsh(q)[:, -1] for q in closures.covariances.values()])
     reach = _REACH * float((corners[1] - corners[0]).max())
     return max(1.0, sheet.round_below(reach / (plots.RADIUS_95 * float(np.quantile(largest, 0.98)))))
 
 
-def _corners(of: Closures) -> np.ndarray:
-    left, right, low, high = of.seabed[1]
+def _corners(closures: ClosureMap) -> np.ndarray:
+    left, right, low, high = closures.seabed[1]
     return sheet.limits(np.array([[left, low], [right, high]]), highest=1.4)
 
 
@@ -131,6 +131,6 @@ def _key(figure: Figure, methods: Iterable[str]) -> None:
     ]
     words += [("dot: the truth; ellipses of", "black"), *((name, families.of(name).colour) for name in methods)]
     left = 0.1
-    for said, colour in words:
-        sheet.write(figure, left, 0.07, said, colour=colour)
-        left += 0.12 + 0.055 * len(said)
+    for text, colour in words:
+        sheet.write(figure, left, 0.07, text, colour=colour)
+        left += 0.12 + 0.055 * len(text)

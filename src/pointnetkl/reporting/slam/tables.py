@@ -11,8 +11,11 @@ from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, in
 from pointnetkl.slam.consistency.tables import THINNING
 from pointnetkl.workflow import artifacts
 
-_MEANS = ("draws_truth_rmse_xyz_m", "draws_truth_rmse_se2_m", "truth_relative_m")
-_MINUS = ("", "_se2", "_relative")  # in the names of network's error less a method's
+_OVER_DRAWS = {  # by end of the columns' names: the mean's name, and the end of the names of a comparison with network
+    "xyz": ("draws_truth_rmse_xyz", ""),
+    "se2": ("draws_truth_rmse_se2", "_se2"),
+    "relative": ("truth_relative", "_relative"),
+}
 _AUTHORS = "Table IV with the authors' two slips, from the same graphs and noises, metres."
 
 
@@ -32,39 +35,32 @@ def every(numbers: Numbers, map_thinning: pd.DataFrame, datasets: Numbers) -> di
 def table_4(
     slam: Numbers, datasets: Numbers, caption: str = "Table IV. Error of the optimised graphs, metres."
 ) -> list[Block]:
-    """Return Table IV in the paper's form, a row per survey and error; against the truth too, where it is known."""
+    """Return Table IV in the paper's form: a row per survey and error, also against the truth where it is known."""
     rows = [row for name, numbers in slam.items() for row in _slam_rows(name, numbers, datasets[name])]
     graph = ("survey", "simulated", "track_km", "N_DR", "N_LC", "error_m", "of")
     return [block(caption, rows, [*graph, *paper.SLAM_METHODS])]
 
 
 def slam_errors(slam: Numbers, datasets: Numbers) -> Block:
-    """Return every method's SLAM errors in metres, and the paper's."""
+    """Return each method's SLAM errors in metres, beside the paper's."""
     rows = [{**row, **interval(row.get("rmse_xyz_ci95_m")), **_paper_slam(row)} for row in by_method(slam, datasets)]
-    aligned = ("xyz_m", "se2_m", "4dof_m")
     columns = ["survey", "simulated", "method", "rmse_xyz_m", "ci_low", "ci_high", "rmse_se2_m", "rmse_4dof_m"]
-    columns += [*(f"truth_rmse_{how}" for how in aligned), "map_to_map_m", "map_to_map_auvlib_m", "pose_nees"]
+    columns += ["truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_rmse_4dof_m"]
+    columns += ["map_to_map_m", "map_to_map_auvlib_m", "pose_nees"]
     columns += ["paper_rmse_xyz_m", "paper_map_to_map_m"]
     caption = "SLAM error by method on the paper's graph, metres; the interval is of the mean over its noises."
     return block(caption, rows, columns)
 
 
 def draws(slam: Numbers, datasets: Numbers) -> Block:
-    """Return each method's errors against the truth over draws of the loop closures, and network's less them."""
-    rows = [
-        {
-            **row,
-            **{f"{side}_xyz": limit for side, limit in interval(row["draws_truth_rmse_xyz_ci95_m"]).items()},
-            **{f"{side}_se2": limit for side, limit in interval(row["draws_truth_rmse_se2_ci95_m"]).items()},
-            **{f"{side}_relative": limit for side, limit in interval(row["truth_relative_ci95_m"]).items()},
-            **{f"{side}_minus{which}": limit for which in _MINUS for side, limit in _minus(row, which).items()},
-        }
-        for row in by_method(slam, datasets)
-        if "draws_truth_rmse_xyz_m" in row
-    ]
+    """Return each method's errors against the truth over draws of the loop closures, and network's less the method's.
+
+    `slam` has the results of `numbers.summarise` by survey.
+    """
+    rows = [{**row, **_limits(row)} for row in by_method(slam, datasets) if "draws_truth_rmse_xyz_m" in row]
     columns = ["survey", "simulated", "method"]
-    for mean, side, minus in zip(_MEANS, ("xyz", "se2", "relative"), _MINUS, strict=True):
-        columns += [mean, f"ci_low_{side}", f"ci_high_{side}"]
+    for end, (mean, minus) in _OVER_DRAWS.items():
+        columns += [f"{mean}_m", f"ci_low_{end}", f"ci_high_{end}"]
         columns += [f"network_minus{minus}_m", f"ci_low_minus{minus}", f"ci_high_minus{minus}", f"network{minus}_p"]
     caption = (
         "SLAM error against the truth over draws of the loop closures, metres; 95 % t intervals over draws, and"
@@ -74,16 +70,15 @@ def draws(slam: Numbers, datasets: Numbers) -> Block:
     return block(caption, rows, columns)
 
 
-def _minus(row: Numbers, which: str) -> dict[str, Any]:
-    return interval(row.get(f"network_minus{which}_ci95_m"))
+def variants(slam_variants: Numbers, datasets: Numbers) -> Block:
+    """Return the variants' mean errors over draws by method, and how far they are from the variant `table`.
 
-
-def variants(found: Numbers, datasets: Numbers) -> Block:
-    """Return the variants' mean errors over draws by method, and how far from the table's (slam_summary.variants)."""
+    `slam_variants` has the results of `numbers.variants` by survey.
+    """
     rows = [
         {**row, "variant": variant, **interval(row.get("minus_table_ci95_m"))}
-        for survey, of in found.items()
-        for variant, methods in of.items()
+        for survey, variants in slam_variants.items()
+        for variant, methods in variants.items()
         for row in by_method({survey: methods}, datasets)
     ]
     columns = ["survey", "simulated", "method", "variant", "rmse_xyz_m", "truth_rmse_xyz_m", "truth_rmse_se2_m"]
@@ -96,21 +91,40 @@ def variants(found: Numbers, datasets: Numbers) -> Block:
 
 
 def read_thinning(folder: Path, surveys: Iterable[str]) -> pd.DataFrame:
-    """Read what stage slam found of each survey in its folder, one table of schema THINNING."""
-    every = [artifacts.read_table(folder / f"{name}_map_thinning.parquet", THINNING) for name in surveys]
-    return pd.concat(every, ignore_index=True)
+    """Read the surveys' map-to-map errors by thinning from stage slam's folder: one table of schema THINNING.
+
+    Raises:
+        ArtifactError: a table is missing or damaged.
+    """
+    tables = [artifacts.read_table(folder / f"{name}_map_thinning.parquet", THINNING) for name in surveys]
+    return pd.concat(tables, ignore_index=True)
 
 
-def thinning(found: pd.DataFrame, datasets: Numbers) -> Block:
-    """Return each survey's map-to-map error at its GT by thinning (THINNING), and against none."""
+def thinning(map_thinning: pd.DataFrame, datasets: Numbers) -> Block:
+    """Return each survey's map-to-map error at its GT by thinning, and its ratio to the error without thinning.
+
+    `map_thinning` has the schema THINNING.
+    """
     rows = []
-    for survey, of in found.groupby("survey", sort=False):
-        whole = of.loc[of["thinning"] == 1, "map_to_map_m"].iloc[0]
-        known = {"survey": survey, "simulated": datasets[survey]["simulated"]}
-        rows += [{**known, **row, "ratio": row["map_to_map_m"] / whole} for row in of.to_dict("records")]
+    for survey, errors in map_thinning.groupby("survey", sort=False):
+        whole = errors.loc[errors["thinning"] == 1, "map_to_map_m"].iloc[0]
+        simulated = datasets[survey]["simulated"]
+        rows += [
+            {**row, "simulated": simulated, "ratio": row["map_to_map_m"] / whole} for row in errors.to_dict("records")
+        ]
     caption = "Map-to-map error at GT, metres, by thinning of the points that ask, or of both sides; ratio: to 1."
     columns = ["survey", "simulated", "thinning", "cells", "map_to_map_m", "ratio", "both_thinned_m"]
     return block(caption, rows, columns)
+
+
+def _limits(row: Numbers) -> dict[str, Any]:
+    """Return the ends of a method's intervals over draws, by the names of their columns."""
+    limits: dict[str, Any] = {}
+    for end, (mean, minus) in _OVER_DRAWS.items():
+        limits |= {f"{side}_{end}": limit for side, limit in interval(row[f"{mean}_ci95_m"]).items()}
+        ci95 = interval(row.get(f"network_minus{minus}_ci95_m"))
+        limits |= {f"{side}_minus{minus}": limit for side, limit in ci95.items()}
+    return limits
 
 
 def _paper_slam(row: Numbers) -> dict[str, Any]:

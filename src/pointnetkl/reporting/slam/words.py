@@ -1,127 +1,130 @@
-"""The page's words on SLAM: what its tables and figures show, and what cannot be concluded from them."""
+"""The page's sections on SLAM: what the tables and figures show, and what one cannot conclude from them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import pandas as pd
 
+from pointnetkl.registration.covariance.catalogue import CONSTANT, NAIVE_GICP
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import OURS
 from pointnetkl.reporting.slam.consistency import PERCENTILE
-from pointnetkl.reporting.text_table import Block, Numbers, cell
+from pointnetkl.reporting.text_table import Blocks, Numbers, cell
 
-Blocks = Mapping[str, Sequence[Block]]
-_RIVALS = ("constant", "naive_gicp")  # the paper's baselines
-_MEASURES = {  # by what is said of them: which of network_minus_*
+_BASELINES = (CONSTANT, NAIVE_GICP)  # the paper's
+_MEASURES = {  # by the words before the comparison: the end of network_minus_* in the numbers' names
     "By truth_rmse_xyz_m, network less (95 % interval), metres": "",
     "By truth_relative_m": "_relative",
 }
 
 
-def sections(shown: Blocks, slam: Numbers) -> list[Section]:
+def sections(shown: Blocks, slam: Mapping[str, Numbers]) -> list[Section]:
     """Return the page's sections on SLAM.
 
-    `shown` has the tables by the stems of their files, `slam` the results of `numbers.summarise` by survey.
+    `shown` has the tables by the stems of their files, and `slam` the results of `numbers.summarise` by survey.
     """
     return [_benchmark(shown, slam), _maps(), _both_ways(shown), _consistency(shown, slam)]
 
 
-def _benchmark(shown: Blocks, slam: Numbers) -> Section:
+def _benchmark(shown: Blocks, slam: Mapping[str, Numbers]) -> Section:
     return Section(
         "SLAM",
         (
-            "Yaw noise corrupts the dead reckoning of each survey's graph; the graph is optimised with each method's Q"
-            " on its loop closures. RMSE_xyz is over submap positions (m), not aligned. Map-to-map is the distance"
-            " between overlapping submaps (root mean square over cells of their worst pair); a perfect map is not at 0,"
-            " because soundings are apart. N_DR and N_LC count edges of dead reckoning and loop closures.",
-            "The paper's table is of one graph and slam.repetitions noises. Beside it stand the columns draws_*: of"
+            "Yaw noise corrupts the dead reckoning of each survey's graph, and the graph is optimised with each"
+            " method's Q on its loop closures. RMSE_xyz is over submap positions (m), without alignment. Map-to-map is"
+            " the distance between overlapping submaps (root mean square over cells of their worst pair). Even a"
+            " perfect map is not at 0, because soundings lie apart. N_DR and N_LC count edges of dead reckoning and"
+            " loop closures.",
+            "The paper's table is of one graph and slam.repetitions noises. The columns draws_* beside it are of"
             " graph.draws graphs, each with loop closures registered anew, and slam.draw_repetitions noises on each."
-            " Their intervals and tests take a draw as one observation. network_minus_* is network's error less the"
-            " method's, network_*p that of network being better: above 0.975 it is significantly worse.",
-            "pose_nees asks what a solution claims of itself: the median over submaps of eᵀ C⁻¹ e, over that of a"
-            " chi-squared variable, where C is the solution's covariance of a submap's x, y and e its error against the"
-            " truth, moved so that the submap that is held has none. 1 would be right. Below 1 is expected of every"
-            " method: the graph allows each edge of dead reckoning metres of error in x and y (graph.dead_reckoning),"
-            " and the protocol adds none.",
+            " Their intervals and tests count a draw as one observation. network_minus_* is network's error less the"
+            " method's, and network_*p the p-value that network is better: above 0.975 it is significantly worse.",
+            "pose_nees tests the covariance that a solution gives itself. It is the median over submaps of eᵀ C⁻¹ e,"
+            " over that of a chi-squared variable, where C is the solution's covariance of a submap's x, y, and e its"
+            " error against the truth, moved so that the held submap has none. 1 would be right. All methods are"
+            " expected below 1, because the graph allows each edge of dead reckoning metres of error in x and y"
+            " (graph.dead_reckoning), and the protocol adds none.",
             *_verdicts(slam),
         ),
         shown["table_4"],
         {
             "slam": "Error by method, on the paper's graph. Bars are 95 % intervals of the mean over its noises.",
-            "slam_differences": "Network's error against the truth less the method's, by draw and noise; 95 % intervals"
-            " over draws. Left of the line network is better, right of it worse. From top to bottom: as it is, turned"
-            " and moved to fit best, and of pairs that a loop closure joins. Each panel has a scale of its own.",
+            "slam_differences": "Network's error against the truth less the method's, by draw and noise, with 95 %"
+            " intervals over draws. Left of the line network is better, right of it worse. From top to bottom: not"
+            " aligned, aligned in SE(2), and of pairs that a loop closure joins. Each panel has its own scale.",
         },
         (
-            "GT is navigation optimised with the Monte Carlo covariances, as in the paper: it favours monte_carlo."
-            " Where the truth is known (simulated surveys), rest conclusions on errors against it; the row gt tells how"
-            " far GT itself is from it. pair (Q_ij) has seen the truth: an oracle, and no method.",
-            "Intervals over noises on the paper's one graph say nothing of another draw of its loop closures, and those"
-            " over draws nothing of another survey: terrain, layout, GT and z, roll, pitch and yaw of the edges are the"
-            " same in all draws. Of few draws the intervals are wide; three are the least.",
-            "A turn of the whole map about its held first submap is in truth_rmse_xyz_m and in none of the others; loop"
-            " closures between neighbouring lines hardly see it, whatever their Q.",
+            "GT is navigation optimised with the Monte Carlo covariances, as in the paper, so it favours monte_carlo."
+            " Where the truth is known (simulated surveys), draw conclusions from the errors against the truth; the row"
+            " gt has GT's own. pair (Q_ij) has seen the truth: it is an oracle and not a method.",
+            "Intervals over noises on the paper's one graph say nothing of another draw of its loop closures, and"
+            " intervals over draws say nothing of another survey: terrain, layout, GT, and the edges' z, roll, pitch"
+            " and yaw are the same in all draws. Few draws give wide intervals, and three are the least.",
+            "A turn of the whole map about its held first submap counts in truth_rmse_xyz_m and in none of the other"
+            " errors; loop closures between neighbouring lines hardly see it, whatever their Q.",
         ),
     )
 
 
-def _verdicts(slam: Numbers) -> list[str]:
-    """Return what the draws say of network against the paper's baselines, by the primary measure and of pairs."""
-    known = {
+def _verdicts(slam: Mapping[str, Numbers]) -> list[str]:
+    """Return how network compares with the paper's baselines over draws, by both errors against the truth."""
+    with_truth = {
         survey: numbers
         for survey, numbers in slam.items()
         if pd.notna(numbers.get(OURS, {}).get("draws_truth_rmse_xyz_m"))
     }
-    if not known:
+    if not with_truth:
         return []
-    ours = [
+    errors = [
         f"{survey} {cell(numbers[OURS]['draws_truth_rmse_xyz_m'], 3)} m"
         f" and {cell(numbers[OURS]['draws_truth_rmse_se2_m'], 3)} m"
-        for survey, numbers in known.items()
+        for survey, numbers in with_truth.items()
     ]
-    against = [f"{name}: {'; '.join(told)}." for name, which in _MEASURES.items() if (told := _against(known, which))]
+    comparisons = {words: _comparisons(with_truth, measure) for words, measure in _MEASURES.items()}
     return [
-        "The measure is truth_rmse_xyz_m; truth_relative_m, of pairs that a loop closure joins, is a more sensitive one"
-        f" beside it. Network's error as it is, and moved and turned in the plane to fit best: {'; '.join(ours)}.",
-        *against,
+        "The main measure is truth_rmse_xyz_m; truth_relative_m, of pairs that a loop closure joins, is more sensitive."
+        f" Network's error, not aligned and aligned in SE(2): {'; '.join(errors)}.",
+        *(f"{words}: {'; '.join(clauses)}." for words, clauses in comparisons.items() if clauses),
     ]
 
 
-def _against(slam: Numbers, which: str) -> list[str]:
-    """Return a clause for each survey and baseline: network's error less the baseline's, and whether it is better."""
-    told = []
+def _comparisons(slam: Mapping[str, Numbers], measure: str) -> list[str]:
+    """Return a clause for each survey and baseline: network's error less the baseline's, and the verdict."""
+    clauses = []
     for survey, numbers in slam.items():
         for method, values in numbers.items():
-            interval = values.get(f"network_minus{which}_ci95_m") if method in _RIVALS else None
+            interval = values.get(f"network_minus{measure}_ci95_m") if method in _BASELINES else None
             if interval is not None:
                 low, high = interval
-                seen = "better" if high < 0 else "worse" if low > 0 else "no difference seen"
-                less = cell(values[f"network_minus{which}_m"], 2)
-                told.append(f"{survey}, {method} {less} ({cell(low, 2)} to {cell(high, 2)}), {seen}")
-    return told
+                verdict = "better" if high < 0 else "worse" if low > 0 else "no difference seen"
+                less = cell(values[f"network_minus{measure}_m"], 2)
+                clauses.append(f"{survey}, {method} {less} ({cell(low, 2)} to {cell(high, 2)}), {verdict}")
+    return clauses
 
 
 def _maps() -> Section:
     return Section(
         "SLAM, seen from above",
         (
-            "Draw 0, first noise, everywhere. What is compared with the truth is compared with GT where a survey has"
-            " none. + marks where a registration put a submap, the dot where it truly is.",
+            "All figures are of draw 0 and the first noise. Comparisons are with the truth, or with GT where a survey's"
+            " truth is not known. + marks the pose that a registration gave a submap, the dot its true pose.",
         ),
         (),
         {
-            "trajectories": "Trajectories on one scale. Below: reference in grey and, magnified and coloured by"
-            " length, what is left of each solved trajectory's displacement after it is turned and moved to fit best.",
+            "trajectories": "Trajectories on one scale. Below: the reference in grey and, magnified and coloured by"
+            " length, each solved trajectory's displacements from it after alignment in SE(2).",
             "bathymetry": "Depth (m) with the submaps at corrupted, solved and true poses (the paper's Fig. 5), on one"
-            " scale; below, how much deeper than the last map. Red and blue beyond 95 % of the cells are full.",
-            "closures": "95 % ellipses of the registrations' Q, magnified as said, blue where they hold the true error."
-            " Below, some to scale, from the largest Q to the smallest.",
+            " scale; below, how much deeper than the last map. The scale of red and blue ends where 95 % of the cells"
+            " are within it.",
+            "closures": "95 % ellipses of the registrations' Q, magnified by the factor above, blue where they hold"
+            " the true error. Below, some to scale, from the largest Q to the smallest.",
             "error_along_track": "Position error in x and y by submap (m, log scale), as it is and aligned (SE(2)).",
         },
         (
-            "Labels are of a submap against a copy of itself, the same points or others of the same pass (label.copy);"
-            " a loop closure meets another pass over the same ground, at GT's poses and yaw, which are not the truth's."
-            " Errors outside monte_carlo's ellipses, the labels' own, are no fault of the network's.",
-            "The first submap is held: errors that are not aligned begin there at 0, and say where the track was bent.",
+            "Labels are of a submap against a copy of itself, with the same points or others of the same pass"
+            " (label.copy). A loop closure meets another pass over the same ground, at the poses and yaw of GT, which"
+            " differ from the truth's. So network is not to blame for errors outside the ellipses of monte_carlo, which"
+            " are the labels' own.",
+            "The first submap is held: errors without alignment begin there at 0, and show where the track was bent.",
         ),
     )
 
@@ -131,57 +134,58 @@ def _both_ways(shown: Blocks) -> Section:
         "SLAM, other ways to solve",
         (
             "The authors' program whitens residuals with the wrong triangle of the Cholesky factor, which turns the"
-            " ellipses of correlated Q, and leaves out the first loop closure: docs/authors_slam.md. Variant authors"
-            " repeats both. Variants all and shared are slam.edges' other choice: a registration counts once for each"
-            " edge it gives, as in the paper, or its Q is multiplied by their number.",
+            " ellipses of correlated Q, and leaves out the first loop closure: see docs/authors_slam.md. Variant"
+            " authors repeats both slips. Variants all and shared are the other choice of slam.edges: a registration"
+            " counts once for each edge that it gives, as in the paper, or its Q is multiplied by the number of its"
+            " edges.",
         ),
         [*shown["table_4_authors"], *shown["slam_variants"]],
         {
-            "slam_both_ways": "Mean RMSE of submap positions against the truth (m), the paper's graph. Filled: as it"
+            "slam_both_ways": "Mean RMSE of submap positions against the truth (m), on the paper's graph. Filled: as it"
             " should be; hollow: with the authors' slips."
         },
         (
-            "The authors had real surveys and one draw: what a slip does to their table cannot be told from ours, only"
-            " how large such a thing is. Where minus_table's interval holds 0, no difference was seen.",
+            "The authors had real surveys and one draw. Our numbers show how large the effect of such slips is, and not"
+            " what they did to the authors' table. Where minus_table's interval holds 0, no difference was seen.",
         ),
     )
 
 
-def _consistency(shown: Blocks, slam: Numbers) -> Section:
+def _consistency(shown: Blocks, slam: Mapping[str, Numbers]) -> Section:
     return Section(
         "Consistency of the map",
         (
-            "In each cell of slam.map_cell_m, for every ordered pair of submaps in it: the mean over a's points of the"
-            " distance to b's nearest; the cell counts its worst pair. Every slam.map_thinning-th point asks, and all"
-            " answer. map_to_map_auvlib_m is the authors' way, on 500 x 500 cells however large the map: compare it"
-            " between methods, never between surveys.",
-            "Thinning is not neutral. Fewer points that ask overlook submaps that barely reach into a cell, whose pairs"
-            " are the worst, and tell a cell's worst pair less surely, which makes it worse: ratio has both."
-            " both_thinned_m is what thinning the points that answer as well would do: a map seems worse because its"
+            "For each cell of slam.map_cell_m and every ordered pair of submaps a, b in it, the error is the mean over"
+            " a's points of the distance to the nearest point of b, and the cell counts its worst pair. Only every"
+            " slam.map_thinning-th point of a is used, and all points of b. map_to_map_auvlib_m is the authors' way, on"
+            " 500 x 500 cells however large the map: compare it between methods, never between surveys.",
+            "Thinning is not neutral. With fewer points of a, submaps that barely reach into a cell are overlooked, and"
+            " their pairs are the worst; and the mean of each pair is noisier, which makes the worst pair worse. ratio"
+            " has both effects. both_thinned_m shows what thinning b as well would do: a map seems worse because its"
             " points are farther apart.",
         ),
         shown["map_thinning"],
         {
-            "consistency": "Map-to-map error by cell (root mean square above), repetition 0, a row for each survey and"
-            f" on one scale in it, which ends at the {PERCENTILE:.0f}th percentile of its cells. Every method, in map"
+            "consistency": "Map-to-map error by cell (root mean square above), repetition 0. Each survey has a row and"
+            f" one scale, which ends at the {PERCENTILE:.0f}th percentile of its cells. Every method, in map"
             " coordinates: reports/slam/<survey>_consistency.tif, a band each.",
         },
         (
-            "Dark stripes at every trajectory, the true one too, are where one submap ends and the next begins: both"
-            " have points in the cell, and those of one are far from the other's end. They and the spacing of"
-            f" soundings are in the number of every map, however good.{_floors(shown, slam)}",
+            "All trajectories, the true one too, show dark stripes where one submap ends and the next begins: both have"
+            " points in the cell, and those of one are far from the other's end. These stripes and the spacing of"
+            f" soundings are part of the number of every map, however good.{_floors(shown, slam)}",
         ),
     )
 
 
-def _floors(shown: Blocks, slam: Numbers) -> str:
-    """Return how much of a solved map's error the map at GT has as well."""
-    thinned = shown["map_thinning"][0].frame
-    at_gt = thinned[thinned["thinning"] == 1].set_index("survey")["map_to_map_m"]
-    errors = {survey: numbers.get(OURS, {}).get("map_to_map_m") for survey, numbers in slam.items()}
-    told = [
+def _floors(shown: Blocks, slam: Mapping[str, Numbers]) -> str:
+    """Return the map-to-map errors at GT, without thinning, and at network's solution."""
+    thinning = shown["map_thinning"][0].frame
+    at_gt = thinning[thinning["thinning"] == 1].set_index("survey")["map_to_map_m"]
+    solved = {survey: numbers.get(OURS, {}).get("map_to_map_m") for survey, numbers in slam.items()}
+    errors = [
         f"{survey} {cell(at_gt[survey], 3)} at GT, {cell(error, 3)} solved"
-        for survey, error in errors.items()
+        for survey, error in solved.items()
         if survey in at_gt and pd.notna(error)
     ]
-    return f" Metres at GT's poses (no thinning) and as network has them: {'; '.join(told)}." if told else ""
+    return f" Metres at GT's poses (no thinning) and as network has them: {'; '.join(errors)}." if errors else ""
