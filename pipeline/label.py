@@ -14,47 +14,46 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's labels and error samples."""
-    chosen = parameters.read(arguments.params, "label", monte_carlo.Settings)
+    settings = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
     runs = study.survey(arguments.params, arguments.survey).label_runs
-    submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # a worker may stand elsewhere
-    job = shards.Job(
-        arguments.survey, submaps, folder, runs, chosen, registration, shards.kernel_version(chosen.engine)
-    )
-    labels, made = shards.labels(job)
-    print(f"{arguments.survey}: labelled {made}, {len(labels) - made} were there")
+    submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # workers may have another current folder
+    kernel = shards.kernel_version(settings.engine)
+    job = shards.Job(arguments.survey, submaps, folder, runs, settings, registration, kernel)
+    labels, computed = shards.labels(job)
+    print(f"{arguments.survey}: labelled {computed}, {len(labels) - computed} were there")
     schema = label_table.schema(registration.dimensions)
-    rows = pd.DataFrame([one.row for one in labels], columns=schema.names)
+    rows = pd.DataFrame([label.row for label in labels], columns=schema.names)
     metadata = {
         "survey": arguments.survey,
-        "copy": chosen.copy,
-        "label": parameters.as_metadata(chosen),
+        "copy": settings.copy,
+        "label": parameters.as_metadata(settings),
         "registration": parameters.as_metadata(registration),
     }
     samples = {
         "submap": rows["submap"].to_numpy(np.int32),
-        "errors": padded([one.errors for one in labels]),
-        "held_out": np.stack([one.held_out for one in labels]),
+        "errors": padded([label.errors for label in labels]),
+        "held_out": np.stack([label.held_out for label in labels]),
     }
     artifacts.write_table(arguments.labels, rows, schema, metadata)
     artifacts.write_arrays(arguments.errors, samples, metadata)
-    prior_sigma_m, target = chosen.prior_variance_m2**0.5, chosen.target_relative_error
+    prior_sigma_m, target = settings.prior_variance_m2**0.5, settings.target_relative_error
     print(*warnings.lines(arguments.survey, rows, prior_sigma_m, target), sep="\n")
 
 
 def padded(errors: list[np.ndarray]) -> np.ndarray:
     """Return errors (L, M) of n submaps as one array (n, longest L, M), NaN where a submap stopped earlier."""
-    together = np.full((len(errors), max(map(len, errors)), errors[0].shape[1]), np.nan, np.float32)
-    for i, each in enumerate(errors):
-        together[i, : len(each)] = each
-    return together
+    array = np.full((len(errors), max(map(len, errors)), errors[0].shape[1]), np.nan, np.float32)
+    for i, rows in enumerate(errors):
+        array[i, : len(rows)] = rows
+    return array
 
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
     parser.add_argument("survey")
-    parser.add_argument("--submaps", type=Path, required=True)
-    parser.add_argument("--shards", type=Path, required=True, help="folder that keeps labels as they are made")
-    parser.add_argument("--labels", type=Path, required=True)
-    parser.add_argument("--errors", type=Path, required=True)
+    parser.add_argument("--submaps", type=Path, required=True, help="points of the survey's submaps, Parquet")
+    parser.add_argument("--shards", type=Path, required=True, help="folder that keeps labels as they are computed")
+    parser.add_argument("--labels", type=Path, required=True, help="labels to write, Parquet")
+    parser.add_argument("--errors", type=Path, required=True, help="error samples to write, npz")
     command.run(main, parser)

@@ -1,4 +1,4 @@
-"""How one survey's labels depend on what the paper leaves open: runs, point spacing, noise; on a few submaps."""
+"""Vary the labels of a few submaps of one survey: by number of runs, point spacing and noise of the copy."""
 
 import argparse
 import functools
@@ -16,35 +16,34 @@ from pointnetkl.workflow import artifacts, command, compute, parameters, study
 
 def main(arguments: argparse.Namespace) -> None:
     """Choose submaps from flat to rugged and write their labels under every condition."""
-    chosen = parameters.read(arguments.params, "vary", sensitivity.Settings)
+    settings = parameters.read(arguments.params, "vary", sensitivity.Settings)
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    cell_m = study.survey(arguments.params, arguments.survey).point_spacing_m
-    numbers = choose(arguments.survey, arguments.submaps, chosen.submaps, registration)
+    numbers = choose(arguments.survey, arguments.submaps, settings.submaps, registration)
     rows = functools.partial(
         sensitivity.rows,
         survey=arguments.survey,
-        path=arguments.submaps.resolve(),  # a worker may stand elsewhere
-        cell_m=cell_m,
-        settings=chosen,
+        path=arguments.submaps.resolve(),  # workers may have another current folder
+        cell_m=study.survey(arguments.params, arguments.survey).point_spacing_m,
+        settings=settings,
         label=label,
         registration=registration,
     )
-    cases = sensitivity.cases(numbers, chosen, label)
-    found = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
-    sections = {"vary": chosen, "label": label, "registration": registration}
+    cases = sensitivity.cases(numbers, settings, label)
+    labels = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
+    sections = {"vary": settings, "label": label, "registration": registration}
     params = {name: parameters.as_metadata(values) for name, values in sections.items()}
     schema = label_table.variations_schema(registration.dimensions)
-    variations = pd.DataFrame(chain.from_iterable(found), columns=schema.names)
+    variations = pd.DataFrame(chain.from_iterable(labels), columns=schema.names)
     artifacts.write_table(arguments.variations, variations, schema, {"survey": arguments.survey, "params": params})
 
 
 def choose(survey: str, path: Path, count: int, registration: gicp.Settings) -> list[int]:
-    """Return the numbers of so many submaps, from flat to rugged."""
+    """Return the numbers of `count` submaps, from flat to rugged."""
     submaps = list(submap.read_each(survey, path))
     ruggedness = functools.partial(sensitivity.ruggedness, registration=registration)
-    rugged = compute.in_threads(ruggedness, submaps, f"choose of {survey}")
-    return [submaps[place].number for place in sensitivity.spread(rugged, count)]
+    ruggednesses = compute.in_threads(ruggedness, submaps, f"choose of {survey}")
+    return [submaps[index].number for index in sensitivity.spread(ruggednesses, count)]
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Monte Carlo labels of whole surveys: kept as they are made, checked, and varied."""
+"""Monte Carlo labels of whole surveys: stored in shards, summarised, and varied."""

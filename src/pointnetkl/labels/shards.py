@@ -1,4 +1,7 @@
-"""Labels kept as they are made, a file each, named by all that decides them: a killed run resumes where it was."""
+"""Shards: a file for each label, written as soon as it is computed, so that a killed run can resume.
+
+A file's name is a hash of everything that decides the label.
+"""
 
 import ast
 import contextlib
@@ -36,20 +39,20 @@ SOURCES = (
     "surveys/se2.py",
 )
 LIBRARIES = {"cpu": ("numpy", "scipy", "numba", "llvmlite"), "cuda": ("numpy", "scipy", "numba", "numba-cuda")}
-_ABANDONED_S = 3600.0  # no file is written for an hour
+_ABANDONED_S = 3600.0  # age of a temporary file that no process writes any more
 
 
 class ShardError(PointNetKLError):
-    """A label cannot be kept, or a worker would make another one than was asked for."""
+    """A label cannot be written, or a worker would compute another one than the stage asked for."""
 
 
 @functools.cache
 def kernel_version(engine: str) -> str:
-    """Return a hash of the code that decides an engine's labels: nobody has to remember to raise a number.
+    """Return a hash of the code that decides an engine's labels, so that no version has to be raised by hand.
 
-    It is of the statements of the modules in SOURCES, in whichever file they stand, and of the libraries that draw,
-    search and compile. What a module is called, what it imports from this project, comments and docstrings are left
-    out: none of them changes a label.
+    It is of the statements of the modules in SOURCES, whatever file they are in, and of the versions of the libraries
+    that draw, search and compile. Names of modules, imports from this project, comments and docstrings do not count,
+    because they change no label.
     """
     folder = Path(__file__).parents[1]
     files = {file for pattern in SOURCES for file in folder.glob(pattern)}
@@ -62,9 +65,9 @@ def statements(source: str) -> list[str]:
     lines = source.splitlines()
     tree = ast.parse(source)
     for node in ast.walk(tree):
-        ours = isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pointnetkl"
+        own_import = isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pointnetkl"
         docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        if isinstance(node, ast.stmt) and (ours or docstring):
+        if isinstance(node, ast.stmt) and (own_import or docstring):
             first, last = node.lineno - 1, node.end_lineno or node.lineno
             lines[first:last] = [""] * (last - first)
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
@@ -72,28 +75,28 @@ def statements(source: str) -> list[str]:
             row, column = token.start[0] - 1, token.start[1]
             lines[row] = lines[row][:column]
     spans = [(_first_line(node) - 1, node.end_lineno) for node in tree.body]
-    kept = ("\n".join(line.rstrip() for line in lines[first:last] if line.strip()) for first, last in spans)
-    return [text for text in kept if text]
+    texts = ("\n".join(line.rstrip() for line in lines[first:last] if line.strip()) for first, last in spans)
+    return [text for text in texts if text]
 
 
 @dataclass(frozen=True)
 class Job:
-    """What the labels of a survey are made of and where they are kept: all that a worker is told."""
+    """The labels of a survey to compute: all that a worker needs to know."""
 
     survey: str
-    submaps: Path  # of submap.POINTS, where the workers see it too
-    folder: Path  # of the shards, likewise
+    submaps: Path  # file of submap.POINTS, at a path that is valid on the workers too
+    folder: Path  # of the shards, at such a path
     runs: int
     settings: monte_carlo.Settings
     registration: gicp.Settings
-    kernel: str  # of who hands out the work: kernel_version()
+    kernel: str  # kernel_version() of the stage, which the workers must have too
 
-    def path(self, of: Submap) -> Path:
-        """Return the file of a submap's label: its name changes with anything that the label depends on."""
-        points = (of.points,) if self.settings.copy == "same" else (of.first, of.second)
+    def path(self, cloud: Submap) -> Path:
+        """Return the file of a submap's label, whose name is a hash of all that decides the label."""
+        points = (cloud.points,) if self.settings.copy == "same" else (cloud.first, cloud.second)
         content = {
-            "survey": of.survey,
-            "submap": of.number,
+            "survey": cloud.survey,
+            "submap": cloud.number,
             "points": [(p.dtype.str, p.shape, hashlib.sha256(p.tobytes()).hexdigest()) for p in points],
             "runs": self.runs,
             "settings": parameters.as_metadata(self.settings),
@@ -104,28 +107,28 @@ class Job:
 
 
 def labels(job: Job) -> tuple[list[Label], int]:
-    """Return the labels of a survey's submaps, by number, and how many of them were not there and had to be made.
+    """Return the labels of a survey's submaps, by number, and the number of labels that had no shard yet.
 
     Raises:
-        ShardError: a label could not be kept, or a worker has other code or other points.
+        ShardError: a label could not be written, or a worker has other code or other points.
         SubmapError: there are no submaps.
     """
     sweep(job.folder)
-    paths = {one.number: job.path(one) for one in submap.read_each(job.survey, job.submaps)}
+    paths = {cloud.number: job.path(cloud) for cloud in submap.read_each(job.survey, job.submaps)}
     if not paths:
         raise submap.SubmapError(f"{job.submaps}: has no submaps; did segment keep any of {job.survey}?")
-    there = {number: found for number, path in paths.items() if (found := read(path))}
-    missing = [(number, path.name) for number, path in paths.items() if number not in there]
+    stored = {number: label for number, path in paths.items() if (label := read(path))}
+    missing = [(number, path.name) for number, path in paths.items() if number not in stored]
     gpu = job.settings.engine == "cuda"
     compute.over(functools.partial(make, job), missing, f"label {job.survey}", processes=not gpu)
-    return [there.get(number) or _made(path) for number, path in paths.items()], len(missing)
+    return [stored.get(number) or _read_new(path) for number, path in paths.items()], len(missing)
 
 
 def make(job: Job, item: tuple[int, str]) -> None:
-    """Label one submap, by its number, and keep the label under the given name, unless it is there.
+    """Label the submap of a number and write the shard of this name, unless it exists.
 
     Raises:
-        ShardError: the label cannot be kept, or would not be the one that was asked for.
+        ShardError: the label cannot be computed or written, or would not be the one that the stage asked for.
     """
     number, name = item
     if kernel_version(job.settings.engine) != job.kernel:
@@ -133,20 +136,20 @@ def make(job: Job, item: tuple[int, str]) -> None:
             f"{socket.gethostname()}: a worker there has another version of pointnetkl, NumPy, SciPy or Numba than the"
             " stage; install the same in both places and start the workers again"
         )
-    one = submap.read(job.survey, job.submaps, number)
-    if (path := job.path(one)).name != name:
+    cloud = submap.read(job.survey, job.submaps, number)
+    if (path := job.path(cloud)).name != name:
         raise ShardError(f"{job.submaps}: submap {number} has changed since the stage began; run it again")
     if read(path):
         return
     try:
-        label = monte_carlo.label(one, job.runs, job.settings, job.registration)
+        label = monte_carlo.label(cloud, job.runs, job.settings, job.registration)
     except (GicpError, MonteCarloError) as error:
         raise ShardError(f"{job.submaps}: submap {number} of {job.survey}: {error}") from error
     write(path, label)
 
 
 def write(path: Path, label: Label) -> None:
-    """Keep a label, whole or not at all.
+    """Write a label's shard, whole or not at all.
 
     Raises:
         ShardError: it cannot be written.
@@ -160,27 +163,27 @@ def write(path: Path, label: Label) -> None:
 
 
 def read(path: Path) -> Label | None:
-    """Return a label that was kept, its errors in float32; None where it is missing, damaged or not a whole label."""
+    """Return a shard's label, its errors in float32; None where the file is missing, damaged or no whole label."""
     try:
         arrays, metadata = artifacts.read_arrays(path)
         label = Label(metadata["row"], arrays["errors"], arrays["held_out"])
         m = label.errors.shape[-1]
-        known = metadata["name"] == path.name and set(label.row) == set(label_table.schema(m).names)
-        whole = label.errors.shape == (label.row["runs"], m) and label.held_out.shape[1:] == (m,)
-        return label if known and whole else None
+        fits = metadata["name"] == path.name and set(label.row) == set(label_table.schema(m).names)
+        complete = label.errors.shape == (label.row["runs"], m) and label.held_out.shape[1:] == (m,)
+        return label if fits and complete else None
     except (ArtifactError, IndexError, KeyError, TypeError):
         return None
 
 
 def sweep(folder: Path) -> None:
-    """Delete what killed writers left half written, long ago: others may be writing now."""
+    """Delete old temporary files of killed writers; young ones may belong to writers at work."""
     for partial in folder.glob(".*.partial"):
         with contextlib.suppress(FileNotFoundError):
             if time.time() - partial.stat().st_mtime > _ABANDONED_S:
                 partial.unlink()
 
 
-def _made(path: Path) -> Label:
+def _read_new(path: Path) -> Label:
     if (label := read(path)) is None:
         raise ShardError(f"{path}: was made and is gone or damaged; is its folder seen by the workers? Run it again")
     return label
@@ -188,7 +191,7 @@ def _made(path: Path) -> Label:
 
 def _first_line(node: ast.stmt) -> int:
     # a definition begins with its decorators
-    return min([node.lineno, *(each.lineno for each in getattr(node, "decorator_list", []))])
+    return min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
 
 
 def _version(library: str) -> str | None:

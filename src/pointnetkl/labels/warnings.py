@@ -41,17 +41,17 @@ def _target(labels: pd.DataFrame, target: float | None) -> list[str]:
 
 
 def _warnings(survey: str, labels: pd.DataFrame, prior_sigma_m: float) -> list[str]:
-    alike, lost = labels[labels["self_matching"]], labels[labels["converged_share"] < 0.5]
+    self_matching, unsettled = labels[labels["self_matching"]], labels[labels["converged_share"] < 0.5]
     text = []
-    if len(alike):
+    if len(self_matching):
         text.append(
-            f"WARNING: {survey} is self-matching in {len(alike)} of {len(labels)} submaps: spacing"
-            f" {alike['spacing_m'].median():.1f} m exceeds the prior's sigma {prior_sigma_m:g} m, so"
+            f"WARNING: {survey} is self-matching in {len(self_matching)} of {len(labels)} submaps: spacing"
+            f" {self_matching['spacing_m'].median():.1f} m exceeds the prior's sigma {prior_sigma_m:g} m, so"
             " the copy can register to itself; use label.copy: split"
         )
-    if len(lost):
+    if len(unsettled):
         text.append(
-            f"WARNING: {survey} has {len(lost)} of {len(labels)} submaps on which under half of the registrations"
+            f"WARNING: {survey} has {len(unsettled)} of {len(labels)} submaps on which under half of the registrations"
             " converged: such a label says more about where they started or stopped than about the ground; see"
             " registration.max_iterations, max_distance_m and plane_epsilon"
         )
