@@ -40,7 +40,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 def choose(survey: str, path: Path, count: int, registration: gicp.Settings) -> list[int]:
     """Return the numbers of `count` submaps, from flat to rugged."""
-    submaps = list(submap.read_each(survey, path))
+    submaps = list(submap.stream(survey, path))
     ruggedness = functools.partial(sensitivity.ruggedness, registration=registration)
     ruggednesses = compute.in_threads(ruggedness, submaps, f"choose of {survey}")
     return [submaps[index].number for index in sensitivity.spread(ruggednesses, count)]

@@ -1,4 +1,4 @@
-"""Make of every submap the cloud that the network sees: zero-mean, in the unit sphere, one point a voxel."""
+"""Compute every submap's canonical cloud, the network's input: zero-mean, in the unit sphere, one point a voxel."""
 
 import argparse
 from pathlib import Path
@@ -9,17 +9,17 @@ from pointnetkl.workflow import artifacts, command, compute, parameters
 
 def main(arguments: argparse.Namespace) -> None:
     """Read a survey's submaps; write their clouds."""
-    how = parameters.read(arguments.params, "voxelise", voxel.Settings)
+    settings = parameters.read(arguments.params, "voxelise", voxel.Settings)
     submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = voxel.Clouds.of(
-        [one.number for one in submaps],
+    clouds = voxel.Clouds.join(
+        [cloud.number for cloud in submaps],
         compute.in_threads(
-            lambda one: voxel.canonical(one.points, how.voxel, f"{one.survey}, submap {one.number}"),
+            lambda cloud: voxel.canonical(cloud.points, settings.voxel, f"{cloud.survey}, submap {cloud.number}"),
             submaps,
             "voxelise",
         ),
     )
-    metadata = {"survey": arguments.name, "params": {"voxelise": parameters.as_metadata(how)}}
+    metadata = {"survey": arguments.name, "params": {"voxelise": parameters.as_metadata(settings)}}
     artifacts.write_arrays(arguments.clouds, clouds.to_arrays(), metadata)
     print(f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}")
 

@@ -161,7 +161,7 @@ def _write_survey(data: Path, fake: Fake) -> None:
     artifacts.write_table(_products(data, fake.name) / "submaps.parquet", submap.to_table(submaps), submap.POINTS, {})
     artifacts.write_table(_products(data, fake.name) / "poses.parquet", poses, submap.POSES, {"dropped": _DROPPED})
     unit = [voxel.normalised(points) for points in fake.clouds]
-    clouds = voxel.Clouds.of(range(len(unit)), [voxel.Canonical(p.astype(np.float32), r) for p, r in unit])
+    clouds = voxel.Clouds.join(range(len(unit)), [voxel.Canonical(p.astype(np.float32), r) for p, r in unit])
     artifacts.write_arrays(_products(data, fake.name) / "clouds.npz", clouds.to_arrays(), {})
 
 

@@ -66,7 +66,7 @@ def trace(path: Path, of: sensitivity.Case) -> float:
 
 
 def test_submaps_are_chosen_from_flat_to_rugged(path: Path):
-    rugged = [sensitivity.ruggedness(one, REGISTRATION) for one in submap.read_each("small", path)]
+    rugged = [sensitivity.ruggedness(one, REGISTRATION) for one in submap.stream("small", path)]
     assert [KINDS[place] for place in sensitivity.spread(rugged, 3)] == ["flat", "mild", "rugged"]
     assert [KINDS[place] for place in sensitivity.spread(rugged, 1)] == ["mild"]
     assert len(sensitivity.spread(rugged, 50)) == 3

@@ -49,14 +49,14 @@ def test_submaps_read_one_by_one_are_those_of_the_whole_table(tmp_path: Path, si
     path = tmp_path / "s.parquet"
     artifacts.write_table(path, submap.to_table(make(n, sizes) for n in (0, 3, 4, 12)), submap.POINTS, {})
     whole = submap.from_table("small", artifacts.read_table(path, submap.POINTS))
-    assert all(map(same, submap.read_each("small", path), whole))
-    assert [one.number for one in submap.read_each("small", path)] == [0, 3, 4, 12]
+    assert all(map(same, submap.stream("small", path), whole))
+    assert [one.number for one in submap.stream("small", path)] == [0, 3, 4, 12]
     assert all(same(submap.read("small", path, one.number), one) for one in whole)
 
 
 def test_a_file_without_submaps_has_none(tmp_path: Path):
     artifacts.write_table(tmp_path / "s.parquet", submap.to_table([]), submap.POINTS, {})
-    assert list(submap.read_each("small", tmp_path / "s.parquet")) == []
+    assert list(submap.stream("small", tmp_path / "s.parquet")) == []
     with pytest.raises(SubmapError, match=r"s\.parquet: has no submap 3; run dvc repro segment@small"):
         submap.read("small", tmp_path / "s.parquet", 3)
 
@@ -64,7 +64,7 @@ def test_a_file_without_submaps_has_none(tmp_path: Path):
 def test_rows_that_are_not_sorted_by_submap_are_refused(tmp_path: Path):
     artifacts.write_table(tmp_path / "s.parquet", submap.to_table([make(3), make(0)]), submap.POINTS, {})
     with pytest.raises(SubmapError, match="not sorted"):
-        list(submap.read_each("small", tmp_path / "s.parquet"))
+        list(submap.stream("small", tmp_path / "s.parquet"))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -75,7 +75,7 @@ def test_a_point_that_is_nowhere_is_refused_with_its_submap(tmp_path: Path, bad:
     for read in (
         lambda path: submap.from_table("small", artifacts.read_table(path, submap.POINTS)),
         lambda path: submap.read("small", path, 3),
-        lambda path: list(submap.read_each("small", path)),
+        lambda path: list(submap.stream("small", path)),
     ):
         with pytest.raises(SubmapError, match="small: submap 3 has a point that is not finite"):
             read(tmp_path / "s.parquet")

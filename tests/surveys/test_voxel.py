@@ -60,7 +60,7 @@ def test_the_same_cloud_gives_the_same_bytes(points: np.ndarray):
 
 def test_clouds_come_back_from_the_file_as_they_were(tmp_path: Path, points: np.ndarray):
     each = [voxel.canonical(points[start:], VOXEL) for start in (0, 1000, 2000)]
-    artifacts.write_arrays(tmp_path / "c.npz", Clouds.of([0, 1, 4], each).to_arrays(), {"survey": "small"})
+    artifacts.write_arrays(tmp_path / "c.npz", Clouds.join([0, 1, 4], each).to_arrays(), {"survey": "small"})
     clouds = Clouds.from_arrays(artifacts.read_arrays(tmp_path / "c.npz")[0])
     assert len(clouds) == 3
     assert clouds.submap.tolist() == [0, 1, 4]
@@ -74,7 +74,7 @@ def test_sigma_z_of_a_tilted_plane_is_what_its_slope_says():
     side, slope = np.linspace(-1, 1, 201), 0.3
     x, y = (axis.ravel() for axis in np.meshgrid(side, side))
     unit, radius = voxel.normalised(np.c_[x, y, slope * x])
-    clouds = Clouds.of([0, 1], [Canonical(unit.astype(np.float32), radius)] * 2)
+    clouds = Clouds.join([0, 1], [Canonical(unit.astype(np.float32), radius)] * 2)
     assert radius == pytest.approx(np.sqrt(2 + slope**2))
     assert voxel.sigma_z(clouds) == pytest.approx(slope / np.sqrt(3 * (2 + slope**2)), rel=0.01)
 
@@ -86,7 +86,7 @@ def test_a_cloud_without_extent_is_refused_by_name(bad: np.ndarray):
 
 
 def test_stored_clouds_that_do_not_fit_together_are_refused(points: np.ndarray):
-    arrays = Clouds.of([0, 1], [voxel.canonical(points, VOXEL)] * 2).to_arrays()
+    arrays = Clouds.join([0, 1], [voxel.canonical(points, VOXEL)] * 2).to_arrays()
     for spoilt in (
         {"offset": arrays["offset"][:-1]},
         {"offset": arrays["offset"] + 1},

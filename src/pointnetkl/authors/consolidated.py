@@ -90,7 +90,7 @@ def read(path: Path) -> Consolidated:
         files.append(_names(names, origin))
     if not clouds:
         raise ConsolidatedError(f"{path}: has no rows; take the file that was published")
-    return Consolidated(voxel.Clouds.of(range(len(clouds)), clouds), np.stack(labels), np.stack(priors), files)
+    return Consolidated(voxel.Clouds.join(range(len(clouds)), clouds), np.stack(labels), np.stack(priors), files)
 
 
 def samples(files: Mapping[str, Consolidated]) -> Samples:

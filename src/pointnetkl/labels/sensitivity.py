@@ -84,7 +84,7 @@ def spread(ruggednesses: Sequence[float], count: int) -> list[int]:
 
 
 def cases(numbers: Sequence[int], settings: Settings, label: monte_carlo.Settings) -> list[Case]:
-    """Return the cases of the submaps with part numbers, the longest first; `label` has the settings to vary."""
+    """Return the cases of the submaps with these numbers, the longest first; `label` has the settings to vary."""
     usual, runs = label.noise_sigma_m, settings.compared_runs
     conditions = [*((usual, t) for t in settings.thinnings), *((sigma, 1.0) for sigma in settings.noise_sigmas_m)]
     return [

@@ -114,7 +114,7 @@ def labels(job: Job) -> tuple[list[Label], int]:
         SubmapError: there are no submaps.
     """
     sweep(job.folder)
-    paths = {cloud.number: job.path(cloud) for cloud in submap.read_each(job.survey, job.submaps)}
+    paths = {cloud.number: job.path(cloud) for cloud in submap.stream(job.survey, job.submaps)}
     if not paths:
         raise submap.SubmapError(f"{job.submaps}: has no submaps; did segment keep any of {job.survey}?")
     stored = {number: label for number, path in paths.items() if (label := read(path))}

@@ -4,7 +4,7 @@ The map frame is local east, north, up. A submap's frame is levelled: x along th
 pose in the map is a position and a yaw, counter-clockwise from east. `T_map_submap` takes coordinates from the
 submap's frame to the map's: names are read right to left. Tangent vectors are rotation first, translation
 second, as in GTSAM's Pose3: (roll, pitch, yaw, x, y, z). Errors of a registration, and their covariances, have x and
-y first, as the paper has them, and then yaw, if it is found.
+y first, as the paper has them, and then yaw, where it is registered.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def matrix(position: np.ndarray, yaw: float) -> np.ndarray:
 
 
 def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) taken through the 4 x 4 transform T."""
+    """Return points (n, 3) transformed by the 4 x 4 transform T."""
     return points @ T[:3, :3].T + T[:3, 3]
 
 

@@ -12,12 +12,12 @@ from pointnetkl.surveys import pose
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.errors import PointNetKLError
 
-WHOLE, FIRST, SECOND = 0, 1, 2  # parts of a submap: all its pings, every other one, the others
+WHOLE, FIRST, SECOND = 0, 1, 2  # parts of a submap: all pings, every other ping, the other pings
 
 POINTS = pa.schema(
     [("submap", pa.int32()), ("part", pa.int8())] + [(name, pa.float32()) for name in ("x_m", "y_m", "z_m")]
 )
-# Poses of submap frames in the map frame, by navigation: at the middle ping, levelled (roll = pitch = 0).
+# Poses of submap frames in the map frame, from the navigation at the middle ping, levelled (roll = pitch = 0).
 POSES = pa.schema(
     [
         ("submap", pa.int32()),
@@ -29,7 +29,7 @@ POSES = pa.schema(
         ("track_m", pa.float64()),
         ("pings", pa.int32()),
         ("soundings", pa.int32()),
-        ("line", pa.int32()),  # a gap, or a turn that was not logged, starts a new line
+        ("line", pa.int32()),  # gaps and turns start a new line
     ]
 )
 
@@ -48,13 +48,13 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Submap:
-    """A point cloud in its own levelled frame: x along track, y to port, z up, metres."""
+    """A point cloud in its own levelled frame: x along the track, y to port, z up, metres."""
 
     survey: str
     number: int
     points: np.ndarray  # (n, 3) float64: the registration cloud
     first: np.ndarray  # (n1, 3) the same ground from every other ping
-    second: np.ndarray  # (n2, 3) and from the others
+    second: np.ndarray  # (n2, 3) the same ground from the other pings
 
 
 def from_table(survey: str, points: pd.DataFrame) -> list[Submap]:
@@ -67,10 +67,10 @@ def from_table(survey: str, points: pd.DataFrame) -> list[Submap]:
 
 
 def read(survey: str, path: Path, number: int) -> Submap:
-    """Return one submap of a survey's file of POINTS, reading little else of it.
+    """Return one submap of a survey's file of POINTS without reading all of the file.
 
     Raises:
-        SubmapError: the file has no such submap, or it is refused as by from_table.
+        SubmapError: the file has no such submap, or the submap is refused as by from_table.
         ArtifactError: the file is missing or damaged.
     """
     rows = artifacts.read_table(path, POINTS, only=[("submap", "==", number)])
@@ -79,8 +79,8 @@ def read(survey: str, path: Path, number: int) -> Submap:
     return _submap(survey, number, rows)
 
 
-def read_each(survey: str, path: Path) -> Iterator[Submap]:
-    """Yield the submaps of a survey's file of POINTS, by number, with only a few of them in memory.
+def stream(survey: str, path: Path) -> Iterator[Submap]:
+    """Yield the submaps of a survey's file of POINTS by number, with a few of them in memory at a time.
 
     Raises:
         SubmapError: the rows are not sorted by submap, or one is refused as by from_table.
@@ -91,7 +91,7 @@ def read_each(survey: str, path: Path) -> Iterator[Submap]:
         rows = pd.concat([rest, group], ignore_index=True)
         if not rows["submap"].is_monotonic_increasing:
             raise SubmapError(f"{path}: its rows are not sorted by submap; run dvc repro segment@{survey}")
-        last = rows["submap"] == rows["submap"].max()  # of which the next group may have more
+        last = rows["submap"] == rows["submap"].max()  # may go on in the next group
         yield from from_table(survey, rows[~last])
         rest = rows[last]
     yield from from_table(survey, rest)

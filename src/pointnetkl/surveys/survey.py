@@ -1,4 +1,4 @@
-"""A survey: what every raw format is read into, and what everything downstream is made from."""
+"""A survey: every raw format is read into this form, and every stage after ingest starts from it."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,10 +31,10 @@ SOUNDINGS = pa.schema(
         ("x_m", pa.float64()),
         ("y_m", pa.float64()),
         ("z_m", pa.float64()),
-        ("quality", pa.int8()),  # 0: good; else rejected by the sonar, its operator or a check of ours
+        ("quality", pa.int8()),  # 0: good; else rejected by the sonar, its operator or our cleaning
     ]
 )
-# The true trajectory, where it is known: the same frame and angles, at its own times.
+# The true trajectory, where it is known: in the same frame and angles, at its own times.
 TRAJECTORY = pa.schema([(name, pa.float64()) for name in ("time_s", "x_m", "y_m", "z_m", "yaw_rad")])
 
 # Kinds of surveys: swaths of a sonar; a surface without pings; submaps that another program has cut and posed.
@@ -47,7 +47,7 @@ class SurveyError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Survey:
-    """Pings in a local map frame, and where that frame lies on the earth; the soundings stand apart, they are many."""
+    """Pings in a local map frame and the frame's place on the earth; the many soundings are kept apart."""
 
     pings: pd.DataFrame  # schema PINGS, sorted by time, numbered from 0
     crs: str  # projected CRS of the map frame, e.g. EPSG:32633; "local" where the data have none
@@ -62,7 +62,7 @@ def track_length(pings: pd.DataFrame) -> float:
 
 
 def summary(survey: Survey) -> str:
-    """Return in a line what a survey holds and what of the raw data was left out; a line more for each damage."""
+    """Return a line on what the survey holds and what was skipped, and one more line for each damage."""
     report = survey.report
     # from the 1st to the 99th percentile, because a single wrong sounding would set the range
     depths = "depth {1:.2f} to {2:.2f} m".format(*report["depth_m"]) if "depth_m" in report else "no depth"

@@ -1,4 +1,4 @@
-"""Clouds as the network sees a submap: zero-mean, in the unit sphere, one point a voxel."""
+"""Canonical clouds, the network's input: zero-mean, in the unit sphere, one point a voxel."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ class VoxelError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters of section `voxelise`.
+    """Section `voxelise` of the parameters.
 
     Raises:
         ValueError: the voxel's edge is not between 0.0001 and 1.
@@ -23,7 +23,7 @@ class Settings:
     voxel: float  # edge, as a share of the unit sphere's radius
 
     def __post_init__(self) -> None:
-        """Refuse a voxel that would hold the whole sphere, or that no integer grid can number."""
+        """Refuse a voxel that would hold the whole sphere, or whose number in a grid would overflow."""
         if not 1e-4 <= self.voxel <= 1:
             raise ValueError(f"voxel is {self.voxel:g}, must be between 0.0001 and 1: a share of the radius")
 
@@ -50,12 +50,12 @@ class Clouds:
         return len(self.submap)
 
     def cloud(self, index: int) -> Canonical:
-        """Return the cloud at a place in the survey's order (not by its submap's number)."""
+        """Return the cloud at an index in the survey's order, which is not its submap's number."""
         return Canonical(self.points[self.offset[index] : self.offset[index + 1]], float(self.radius[index]))
 
     @classmethod
-    def of(cls, numbers: Sequence[int], clouds: Sequence[Canonical]) -> "Clouds":
-        """Join the clouds of the submaps with these numbers."""
+    def join(cls, numbers: Sequence[int], clouds: Sequence[Canonical]) -> "Clouds":
+        """Return the clouds of submaps with these numbers, end to end."""
         sizes = [0, *(len(cloud.points) for cloud in clouds)]
         return cls(
             np.array(numbers, np.int32),
@@ -70,7 +70,7 @@ class Clouds:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], origin: str = "clouds") -> "Clouds":
-        """Return the clouds that artifacts.read_arrays gave; `origin` is named in the error.
+        """Return the clouds of arrays read by artifacts.read_arrays; `origin` is named in the error.
 
         Raises:
             VoxelError: an array is missing, or they do not fit together.
@@ -91,17 +91,17 @@ def canonical(points: np.ndarray, voxel: float, origin: str = "a submap") -> Can
     Raises:
         VoxelError: a coordinate is not a number, or all points are in one place.
     """
-    import open3d  # 1.7 s: only for those who make clouds, not for all who read them
+    import open3d  # imported here, because it takes 1.7 s and reading clouds does not need it
 
     unit, radius = normalised(points, origin)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(unit))
     rows = np.asarray(cloud.voxel_down_sample(voxel).points).astype(np.float32)
-    # sorted, because the voxels come in the order of a hash map
+    # sorted, because open3d returns voxels in the order of a hash map
     return Canonical(rows[np.lexsort(rows.T[::-1])], radius)
 
 
 def normalised(points: np.ndarray, origin: str = "a submap") -> tuple[np.ndarray, float]:
-    """Return points (n, 3) with zero mean and a largest norm of 1, float64, and the radius they had.
+    """Return points (n, 3) scaled to zero mean and a largest norm of 1, float64, and their radius before, metres.
 
     Raises:
         VoxelError: a coordinate is not a number, or all points are in one place.
@@ -123,7 +123,7 @@ def sigma_z(clouds: Clouds) -> float:
 def _fit_together(clouds: Clouds) -> bool:
     count, offset = clouds.submap.size, clouds.offset
     shapes = [array.shape for array in (clouds.submap, offset, clouds.radius)] == [(count,), (count + 1,), (count,)]
-    whole = clouds.points.ndim == 2 and clouds.points.shape[1] == 3
+    points = clouds.points.ndim == 2 and clouds.points.shape[1] == 3
     return bool(
-        shapes and whole and offset[0] == 0 and offset[-1] == len(clouds.points) and np.all(np.diff(offset) > 0)
+        shapes and points and offset[0] == 0 and offset[-1] == len(clouds.points) and np.all(np.diff(offset) > 0)
     )
