@@ -9,9 +9,9 @@ from pointnetkl.commands import NAMES
 from pointnetkl.workflow.errors import PointNetKLError
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Run a command line; return the exit status."""
-    arguments = _parser().parse_args(words)
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command of an argument vector; return the exit status."""
+    arguments = _parser().parse_args(argv)
     try:
         return int(arguments.run(arguments))
     except PointNetKLError as error:

@@ -151,3 +151,10 @@ def paragraphs(found: dict) -> Sequence[str]:
     thinning = pd.DataFrame({"survey": ["toy"], "thinning": [1], "map_to_map_m": [0.5]})
     shown = {"table_4": [], "table_4_authors": [], "slam_variants": [], "map_thinning": [Block("", thinning)]}
     return slam_story.sections(shown, {"toy": found})[0].paragraphs
+
+
+def test_thinning_has_the_ratio_to_the_error_without_thinning():
+    errors = {"map_to_map_m": [2.0, 2.1, 2.5], "both_thinned_m": [2.0, 3.0, 4.0]}
+    rows = pd.DataFrame({"survey": "mine", "thinning": [1, 2, 4], "cells": 9, **errors})
+    frame = slam_tables.thinning(rows, {"mine": {"simulated": True}}).frame
+    assert frame["ratio"].tolist() == [1.0, 2.1 / 2.0, 2.5 / 2.0]

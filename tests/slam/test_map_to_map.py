@@ -1,6 +1,7 @@
-"""The map-to-map error: none where submaps agree, and it sees them come apart."""
+"""The map-to-map error: zero where submaps agree, larger as they come apart, and what thinning does to it."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,6 +15,8 @@ from pointnetkl.surveys import pose
 RNG = np.random.default_rng(0)
 CLOUD = np.column_stack([RNG.uniform(0, 40, (800, 2)), RNG.normal(0, 0.5, 800)])
 HOME = pose.matrix(np.zeros(3), 0.0)
+PLANES = [np.column_stack([RNG.uniform(0, 60, (3000, 2)), RNG.normal(0, 0.1, 3000)]) for _ in range(2)]
+TOGETHER = np.array([HOME, HOME])
 
 
 def apart(offset: tuple[float, float, float]) -> np.ndarray:
@@ -143,3 +146,33 @@ def test_submaps_that_share_no_cell_have_no_error_to_tell():
 def test_settings_without_meaning_are_refused(cell: float, thinning: int):
     with pytest.raises(map_to_map.MapToMapError):
         map_to_map.MapToMap([CLOUD], cell, thinning)
+
+
+@pytest.fixture(scope="module")
+def thinning() -> pd.DataFrame:
+    return map_to_map.thinning_table("mine", PLANES, TOGETHER, 15.0)
+
+
+def test_without_thinning_both_ways_are_the_measure_itself(thinning: pd.DataFrame):
+    whole = map_to_map.MapToMap(PLANES, 15.0, 1)(TOGETHER)
+    assert thinning.loc[0, ["thinning", "map_to_map_m", "both_thinned_m"]].tolist() == [1, whole, whole]
+
+
+def test_thinning_the_points_that_answer_makes_one_surface_seem_two(thinning: pd.DataFrame):
+    # points of a plane four times as far between are twice as far from each other
+    by_thinning = thinning.set_index("thinning")["both_thinned_m"]
+    assert by_thinning[4] > 1.5 * by_thinning[1]
+    assert by_thinning.is_monotonic_increasing
+
+
+def test_thinning_the_points_that_ask_leaves_a_full_cell_as_it_is(thinning: pd.DataFrame):
+    # where both submaps fill every cell
+    assert thinning["map_to_map_m"].tolist() == pytest.approx([thinning["map_to_map_m"][0]] * 4, rel=0.05)
+
+
+def test_submaps_that_barely_meet_are_overlooked_by_fewer_points():
+    # a few points of the second reach 1 m into cells of 5 m that the first fills
+    poses = np.array([TOGETHER[0], pose.matrix(np.array([-59.0, 0.0, 0.0]), 0.0)])
+    thinning = map_to_map.thinning_table("mine", [PLANES[0], PLANES[1][:400]], poses, 5.0)
+    assert thinning["cells"].is_monotonic_decreasing
+    assert thinning["cells"].iloc[-1] < thinning["cells"].iloc[0]

@@ -2,12 +2,15 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pointnetkl.commands import shared
 from pointnetkl.registration.covariance import catalogue
+
+if TYPE_CHECKING:
+    from pointnetkl.slam.graph.survey_graph import SurveyGraph
 
 _DESCRIPTION = """\
 Write a survey's graph as a g2o file for other programs: the graph that stage `slam` optimises with the covariances of
@@ -81,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _times(path: Path | None, survey: Any) -> tuple[np.ndarray, str]:
+def _times(path: Path | None, survey: "SurveyGraph") -> tuple[np.ndarray, str]:
     """Return each submap's time (n,), and its meaning: seconds where a table of poses is given, else its number."""
     from pointnetkl.surveys import submap
     from pointnetkl.workflow import artifacts

@@ -4,10 +4,14 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pointnetkl.commands import shared
 from pointnetkl.workflow.errors import PointNetKLError
+
+if TYPE_CHECKING:
+    from pointnetkl import readers
+    from pointnetkl.inspection.facts import Facts
 
 _DESCRIPTION = """\
 Describe raw files of bathymetry: format, sonar, time, pings, soundings, track, depths, place, and what the reader left
@@ -99,7 +103,7 @@ def _paths(arguments: argparse.Namespace) -> tuple[list[Path], Path | None]:
     return files, folder
 
 
-def _settings(zone: str) -> Any:
+def _settings(zone: str) -> "readers.Settings":
     from pointnetkl import readers
 
     try:
@@ -108,7 +112,7 @@ def _settings(zone: str) -> Any:
         raise shared.CommandError(f"--zone: {error}") from error
 
 
-def _facts(file: Path, settings: Any, folder: Path | None, name: str) -> Any:
+def _facts(file: Path, settings: "readers.Settings", folder: Path | None, name: str) -> "Facts":
     from pointnetkl.inspection import choice
     from pointnetkl.inspection.facts import Facts
 

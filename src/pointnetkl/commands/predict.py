@@ -4,10 +4,13 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pointnetkl.commands import shared
 from pointnetkl.workflow.errors import PointNetKLError
+
+if TYPE_CHECKING:
+    from pointnetkl.estimator import Prediction
 
 _DESCRIPTION = """\
 Print the covariance Q of each submap's registration (GICP), by a trained model.
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(len(rows) < len(arguments.submaps))
 
 
-def _numbers(prediction: Any) -> dict[str, Any]:
+def _numbers(prediction: "Prediction") -> dict[str, Any]:
     """Return the numbers of a prediction's row."""
     from pointnetkl.registration.covariance import table
 

@@ -4,12 +4,18 @@ import argparse
 import dataclasses
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pointnetkl.commands import shared, solve
 from pointnetkl.workflow.errors import PointNetKLError
+
+if TYPE_CHECKING:
+    from pointnetkl.estimator import CovarianceEstimator, Prediction
+    from pointnetkl.registration import gicp
+    from pointnetkl.slam.closures import loop_closure
+    from pointnetkl.surveys.submap import Submap
 
 _DESCRIPTION = """\
 Build the pose graph of submaps in PCD files, and optimise it: with the pipeline's search for loop closures (Algorithm 1
@@ -94,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _with_coverage(settings: Any, coverage: float | None) -> Any:
+def _with_coverage(settings: "loop_closure.Settings", coverage: float | None) -> "loop_closure.Settings":
     """Return settings of the graph with another coverage, if one is given."""
     try:
         return settings if coverage is None else dataclasses.replace(settings, coverage=coverage)
@@ -102,14 +108,14 @@ def _with_coverage(settings: Any, coverage: float | None) -> Any:
         raise shared.CommandError(f"--{error}") from error
 
 
-def _predict(model: Any, path: Path, points: np.ndarray) -> Any:
+def _predict(model: "CovarianceEstimator", path: Path, points: np.ndarray) -> "Prediction":
     try:
         return model.judge(points)
     except PointNetKLError as error:
         raise shared.CommandError(f"{path}: {error}") from error
 
 
-def _require_dimensions(arguments: argparse.Namespace, q: np.ndarray, registration: Any) -> None:
+def _require_dimensions(arguments: argparse.Namespace, q: np.ndarray, registration: "gicp.Settings") -> None:
     if len(q) != registration.dimensions:
         raise shared.CommandError(
             f"{arguments.model} is a model of {len(q)} dimensions, and registration.dof in {arguments.params} is"
@@ -117,7 +123,7 @@ def _require_dimensions(arguments: argparse.Namespace, q: np.ndarray, registrati
         )
 
 
-def _row(path: Path, submap: Any, prediction: Any, closures: int, moved: float) -> dict[str, Any]:
+def _row(path: Path, submap: "Submap", prediction: "Prediction", closures: int, moved: float) -> dict[str, Any]:
     major, minor, _ = shared.ellipse(prediction.covariance[:2, :2])
     return {
         "file": path.name,
@@ -131,7 +137,7 @@ def _row(path: Path, submap: Any, prediction: Any, closures: int, moved: float) 
     }
 
 
-def _warn(predictions: list[Any], registrations: int, coverage: float) -> None:
+def _warn(predictions: "list[Prediction]", registrations: int, coverage: float) -> None:
     """Print on stderr why the result may be of little use."""
     if not registrations:
         print(

@@ -2,13 +2,17 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pointnetkl.commands import shared
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.slam.robust import tables
+
+if TYPE_CHECKING:
+    from pointnetkl.exchange.g2o import Graph
+    from pointnetkl.exchange.graph_solver import Solution
 
 _KERNELS = ("none", *tables.KERNELS[1:])
 _DESCRIPTION = """\
@@ -80,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
+def _robust(graph: "Graph", arguments: argparse.Namespace) -> "Solution":
     """Return the solution by a robust estimator; print the loop closures that it did not accept."""
     from pointnetkl.exchange import graph_exchange, graph_solver
     from pointnetkl.slam.robust import estimators
@@ -98,7 +102,7 @@ def _robust(graph: Any, arguments: argparse.Namespace) -> Any:
     return solved
 
 
-def write(out: Path, trajectory: Path | None, graph: Any, poses: np.ndarray, dialect: str) -> None:
+def write(out: Path, trajectory: Path | None, graph: "Graph", poses: np.ndarray, dialect: str) -> None:
     """Write a graph with new poses, and if a path is given the poses as a trajectory in the order of vertex numbers."""
     import dataclasses
 

@@ -28,6 +28,23 @@ class Buckets(NamedTuple):
     corner: np.ndarray  # (k, 3) lowest x and y, and the edge of a bucket, metres
 
 
+class Placed(NamedTuple):
+    """Points in the map, sorted by cell and then by submap."""
+
+    starts: np.ndarray  # (cells + 1,) first point of each cell
+    owner: np.ndarray  # (n,) submap of each point
+    points: np.ndarray  # (n, 3) metres, in the map frame
+
+
+class Runs(NamedTuple):
+    """Points in the map by runs: a run is the points of one submap in one cell."""
+
+    starts: np.ndarray  # (cells + 1,) first run of each cell
+    first: np.ndarray  # (runs + 1,) first point of each run
+    owner: np.ndarray  # (runs,) submap of each run
+    points: np.ndarray  # (n, 3) metres, in the map frame
+
+
 def buckets(clouds: Sequence[np.ndarray]) -> Buckets:
     """Return clouds (n_i, 3) sorted by buckets that hold a few points."""
     sorted_, starts, shapes, corners, point = [], [], [], [], 0
@@ -63,12 +80,12 @@ def grouped(group, count):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def worst_pairs(begin, end, starts, owner, points, T_submap_map, targets, worst):  # type: ignore[no-untyped-def]
+def worst_pairs(begin, end, placed, T_submap_map, targets, worst):  # type: ignore[no-untyped-def]
     """Fill `worst` of the cells from `begin` to `end` with their worst pair's mean distance; -1: only one submap.
 
-    `points` (n, 3) in the map frame and their submaps, `owner`, are sorted by cell and then by submap; a cell's begin
-    at `starts`. `targets` are the Buckets of all submaps.
+    `placed` are the points that ask (Placed), `targets` all points of all submaps (Buckets).
     """
+    starts, owner, points = placed.starts, placed.owner, placed.points
     for cell in range(begin, end):
         worst[cell] = -1.0
         a = starts[cell]
@@ -137,22 +154,22 @@ def _nearest(x, y, z, b, within, targets):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def sampled_pairs(begin, end, side, runs, first, owner, drawn, points, error):  # type: ignore[no-untyped-def]
+def sampled_pairs(begin, end, side, runs, drawn, error):  # type: ignore[no-untyped-def]
     """Fill `error` of a grid's cells (side * side,), columns `begin` to `end`; -1: fewer than two submaps.
 
-    A run is the points of one submap in one cell: a cell's runs begin at `runs`, a run's points (n, 3) at `first`, and
-    its submap is `owner`; `drawn` (runs, draws) are random points of each run. A draw's value is the largest distance
-    from a submap's point to another's nearest in the cell and those around it, a cell's the mean of its draws.
+    `drawn` (runs, draws) are random points of each of the Runs. A draw's value is the largest distance from a submap's
+    point to another's nearest in the cell and those around it, a cell's the mean of its draws.
     """
+    points = runs.points
     largest, around = np.empty(drawn.shape[1]), np.empty((9, 2), np.int64)
     for cell in range(begin * side, end * side):
         error[cell] = -1.0
-        if runs[cell + 1] - runs[cell] < 2:
+        if runs.starts[cell + 1] - runs.starts[cell] < 2:
             continue
         largest[:] = 0.0
-        for b in range(runs[cell], runs[cell + 1]):
-            count = _around(cell, b, side, runs, first, owner, around)
-            for a in range(runs[cell], runs[cell + 1]):
+        for b in range(runs.starts[cell], runs.starts[cell + 1]):
+            count = _around(cell, b, side, runs, around)
+            for a in range(runs.starts[cell], runs.starts[cell + 1]):
                 for draw in range(len(largest)):
                     if a != b:
                         square = _nearest_of(points[drawn[a, draw]], around[:count], points, largest[draw])
@@ -161,15 +178,15 @@ def sampled_pairs(begin, end, side, runs, first, owner, drawn, points, error):  
 
 
 @_kernel
-def _around(cell, b, side, runs, first, owner, around):  # type: ignore[no-untyped-def]
+def _around(cell, b, side, runs, around):  # type: ignore[no-untyped-def]
     # the cell itself comes first, because its points are nearer
     column, row, count = cell // side, cell % side, 1
-    around[0, 0], around[0, 1] = first[b], first[b + 1]
+    around[0, 0], around[0, 1] = runs.first[b], runs.first[b + 1]
     for other in range(max(column - 1, 0), min(column + 2, side)):
         for near in range(other * side + max(row - 1, 0), other * side + min(row + 2, side)):
-            for run in range(runs[near], runs[near + 1]):
-                if owner[run] == owner[b] and run != b:
-                    around[count, 0], around[count, 1] = first[run], first[run + 1]
+            for run in range(runs.starts[near], runs.starts[near + 1]):
+                if runs.owner[run] == runs.owner[b] and run != b:
+                    around[count, 0], around[count, 1] = runs.first[run], runs.first[run + 1]
                     count += 1
     return count
 

@@ -56,7 +56,8 @@ class MapToMap:
         keys, cell = _unique(footprint.keys(points, self._cell))
         starts, order = map_kernel.grouped(cell, len(keys))
         worst, T_submap_map = np.empty(len(keys)), np.linalg.inv(poses)
-        arguments = (starts, self._owner[order], points[order], T_submap_map, self._targets, worst)
+        placed = map_kernel.Placed(starts, self._owner[order], points[order])
+        arguments = (placed, T_submap_map, self._targets, worst)
         in_shares(lambda begin, end: map_kernel.worst_pairs(begin, end, *arguments), len(keys))
         shared = worst >= 0.0
         return Cells(*footprint.places(keys[shared]), worst[shared])

@@ -40,9 +40,9 @@ class MapToMapAuvlib:
         count = np.diff(first, append=len(points))
         uniform = np.random.default_rng(self._seed).random((len(first), DRAWS))
         drawn = first[:, None] + (uniform * count[:, None]).astype(np.int64)
-        runs = np.searchsorted(first, starts)
+        runs = map_kernel.Runs(np.searchsorted(first, starts), np.append(first, len(points)), owner[first], points)
         error = np.empty(CELLS * CELLS)
-        arguments = (CELLS, runs, np.append(first, len(points)), owner[first], drawn, points, error)
+        arguments = (CELLS, runs, drawn, error)
         map_to_map.in_shares(lambda begin, end: map_kernel.sampled_pairs(begin, end, *arguments), CELLS)
         return consistency_map.rms(error[error >= 0.0])
 
