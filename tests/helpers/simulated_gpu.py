@@ -19,12 +19,15 @@ class HostLane(cuda.Lane):
         self.gpu, self.blocks, self.stream = "simulator", blocks, 0
 
     def empty(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """Return an array of memory that was used before."""
         return np.full(shape, 77, dtype)
 
     def put(self, name: str, array: np.ndarray) -> np.ndarray:
+        """Return a copy on the device."""
         return np.array(array)
 
     def get(self, array: np.ndarray) -> np.ndarray:
+        """Return an array of the device on the host."""
         return array
 
 

@@ -124,7 +124,7 @@ def intact(folder: Path) -> set[str]:
     return {path.name for path in (folder / "shards").glob("*.npz") if shards.read(path)}
 
 
-def until(condition, seconds: float = 30.0) -> None:
+def until(condition, seconds: float = 120.0) -> None:
     """Wait until a condition is true."""
     deadline = time.monotonic() + seconds
     while not condition():

@@ -120,8 +120,10 @@ def _turning(xy: np.ndarray, length_m: float, max_turn_rad: float) -> np.ndarray
 
 
 def _narrowed(before: np.ndarray, here: np.ndarray, after: np.ndarray, limit_rad: float) -> np.ndarray:
-    """Return where (n,) the courses before and after, as complex numbers, differ too much: of those places only where
-    the course has left the one before and has not come to the one after, for they begin on the straight line.
+    """Return where (n,) the courses before and after, as complex numbers, differ by more than the limit.
+
+    A place counts only where the course has left the one before and has not come to the one after, because such places
+    begin on the straight line.
     """
     turning = _apart(before, after) > limit_rad
     edges = np.flatnonzero(np.diff(turning, prepend=False, append=False))
