@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import simulation, training
+from pointnetkl import training
 from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
@@ -33,10 +33,9 @@ def main(arguments: argparse.Namespace) -> None:
     folders = results.Folders(arguments.data, Path("models"), Path("reports"), studies.read(params))
     chosen = parameters.read(params, "report", results.Settings)
     study = folders.study
-    simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
     known = [name for name in study.train if (folders.data / "train" / name).is_dir()]
-    slopes = {name: of_survey(folders, name, simulate) for name in [*known, *judged]}
+    slopes = {name: of_survey(folders, name) for name in [*known, *judged]}
     classes, trained = terrain.of_surveys(slopes, known, chosen.terrain_classes)
     numbers = {
         "kl": {name: summary.divergences(name, of, chosen) for name, of in judged.items()},
@@ -72,10 +71,10 @@ def read(folders: results.Folders, name: str) -> Judged:
     return Judged(labels.q, covariances, held_out)
 
 
-def of_survey(folders: results.Folders, name: str, simulate: dict[str, simulation.Settings]) -> pd.DataFrame:
+def of_survey(folders: results.Folders, name: str) -> pd.DataFrame:
     """Return the slopes of a survey's submaps, by which they are classed."""
     clouds, poses = results.read_points(folders, name)
-    return terrain.slopes(clouds, poses, *results.read_frame(folders, name), simulate.get(name))
+    return terrain.slopes(clouds, poses, *results.read_frame(folders, name), results.read_simulation(folders, name))
 
 
 def kl_rows(numbers: dict[str, Any]) -> Iterator[dict[str, Any]]:

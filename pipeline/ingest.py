@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from pointnetkl import readers
 from pointnetkl.surveys import survey
@@ -22,9 +23,16 @@ def main(arguments: argparse.Namespace) -> None:
             "report": raw_survey.report,
             "params": parameters.as_metadata(settings),
         }
-    for name, table, schema in (("pings", raw_survey.pings, survey.PINGS), ("truth", truth, survey.TRAJECTORY)):
-        artifacts.write_table(arguments.out / f"{name}.parquet", table, schema, soundings.metadata)
+    artifacts.write_table(arguments.out / "pings.parquet", raw_survey.pings, survey.PINGS, soundings.metadata)
+    metadata = {**soundings.metadata, **simulated(arguments.truth)}
+    artifacts.write_table(arguments.out / "truth.parquet", truth, survey.TRAJECTORY, metadata)
     print(f"{arguments.survey}: {survey.summary(raw_survey)}")
+
+
+def simulated(truth: Path) -> dict[str, Any]:
+    """Return what a simulated survey's truth says that it was simulated with, for the report."""
+    metadata = {} if artifacts.is_none(truth) else artifacts.table_metadata(truth)
+    return {key: value for key, value in metadata.items() if key == "simulate"}
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl import simulation
 from pointnetkl.reporting import model_card, report, results
 from pointnetkl.reporting.results import Folders
 from pointnetkl.workflow import artifacts, command, parameters, study
@@ -12,9 +11,8 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 def main(arguments: argparse.Namespace) -> None:
     """Read every stage's artifacts, write the report, print what matters most of it."""
     settings = parameters.read(arguments.params, "report", results.Settings)
-    simulate = parameters.read(arguments.params, "simulate", dict[str, simulation.Settings])
     folders = Folders(arguments.data, arguments.models, arguments.reports, study.read(arguments.params))
-    made = report.make(folders, simulate, settings)
+    made = report.make(folders, settings)
     for name, content in {**made.files, **model_card.files(folders)}.items():
         artifacts.write_bytes(arguments.reports / name, content)
     print(*made.lines, sep="\n")

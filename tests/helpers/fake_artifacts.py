@@ -70,10 +70,9 @@ def _parameters() -> dict[str, object]:
         for name in (*TRAIN, *TEST)
     }
     study = {"train": {n: lines[n] for n in TRAIN}, "test": {n: lines[n] for n in TEST}, "surveys": lines}
-    simulate = {name: _simulation(name) for name in (*TRAIN, *TEST) if name != "mine"}
     report = {"seed": 9, "kl_floor_m2": 0.01, "cell_factor": 2.0, "block_submaps": 3}
     report["terrain_classes"] = {"flat_slope": 0.004, "rugged_slope": 0.02}
-    return {"study": {"scale": "smoke", "models": list(MODELS), **study}, "simulate": simulate, "report": report}
+    return {"study": {"scale": "smoke", "models": list(MODELS), **study}, "report": report}
 
 
 def _simulation(name: str) -> dict[str, object]:
@@ -157,6 +156,9 @@ def _write_survey(data: Path, fake: Fake) -> None:
         survey.SOUNDINGS,
         {},
     )
+    truth = survey.TRAJECTORY.empty_table().to_pandas()
+    metadata = {} if fake.name == "mine" else {"simulate": _simulation(fake.name)}
+    artifacts.write_table(data / f"surveys/{fake.name}/truth.parquet", truth, survey.TRAJECTORY, metadata)
     submaps = [submap.Submap(fake.name, i, p, p[::2], p[1::2]) for i, p in enumerate(fake.clouds)]
     artifacts.write_table(_products(data, fake.name) / "submaps.parquet", submap.to_table(submaps), submap.POINTS, {})
     artifacts.write_table(_products(data, fake.name) / "poses.parquet", poses, submap.POSES, {"dropped": _DROPPED})

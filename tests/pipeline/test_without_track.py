@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import fake_artifacts
-from pointnetkl import simulation
 from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.reporting import report, results
 from pointnetkl.reporting.slam import figures as slam_figures
@@ -132,8 +131,7 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     lose_track(tmp_path, "mine")  # of which no loop closures are known
     params = tmp_path / "params.yaml"
     folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports", study.read(params))
-    simulate = parameters.read(params, "simulate", dict[str, simulation.Settings])
-    made = report.make(folders, simulate, parameters.read(params, "report", results.Settings))
+    made = report.make(folders, parameters.read(params, "report", results.Settings))
     numbers = json.loads(made.files["metrics.json"])
     assert numbers["slam"]["mine"] == {"dead_reckoning_edges": 0, "loop_closures": 0}
     assert numbers["kl"]["mine"]["network"]["mean"] >= 0

@@ -14,7 +14,6 @@ import pytest
 import yaml
 
 import fake_artifacts
-from pointnetkl import simulation
 from pointnetkl.registration.covariance import gaussian, label_table
 from pointnetkl.reporting import report, results, terrain
 from pointnetkl.reporting.covariances import numbers as covariances
@@ -49,7 +48,6 @@ def make(folder: Path) -> report.Report:
     params = folder / "params.yaml"
     return report.make(
         folders_of(folder),
-        parameters.read(params, "simulate", dict[str, simulation.Settings]),
         parameters.read(params, "report", results.Settings),
     )
 
@@ -186,12 +184,10 @@ def test_the_area_is_the_union_of_footprints():
     assert surveys.area_km2(clouds, poses, 1.0) == pytest.approx(150e-6)
 
 
-@pytest.mark.parametrize(
-    ("raw", "entry"),
-    [("data/raw/baltic", "baltic"), ("/home/me/baltic", None), ("data/raw/mine", None), ("baltic", None)],
-)
-def test_only_what_simulate_made_is_simulated(raw: str, entry: str | None):
-    assert surveys.simulated_from(raw, {"baltic": {}}) == entry
+def test_only_a_survey_whose_truth_was_simulated_is_simulated(folders: results.Folders):
+    simulated = {name: results.read_simulation(folders, name) for name in folders.study.surveys}
+    assert [name for name, settings in simulated.items() if settings is None] == ["mine"]
+    assert simulated["baltic"].vehicle == "hugin"
 
 
 @pytest.mark.parametrize(

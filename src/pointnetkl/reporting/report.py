@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import simulation
 from pointnetkl.reporting import page, results, terrain, text_table, words
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closures
@@ -72,7 +71,7 @@ class _Artifacts:
     cleaned: Mapping[str, Mapping[str, Any]]  # survey_tables.read
 
 
-def make(folders: Folders, simulate: Mapping[str, simulation.Settings], settings: Settings) -> Report:
+def make(folders: Folders, settings: Settings) -> Report:
     """Return the whole report of the folders' study.
 
     Raises:
@@ -80,7 +79,7 @@ def make(folders: Folders, simulate: Mapping[str, simulation.Settings], settings
     """
     folders.demand()
     study, read = folders.study, _read(folders, settings)
-    numbers = _numbers(folders, simulate, read, settings)
+    numbers = _numbers(folders, read, settings)
     tables = _tables(numbers, study, read)
     drawn = dict(_figures(folders, read, numbers, tables, settings))
     copies = {name: str(each.parameters["label"]["copy"]) for name, each in read.labels.items()}
@@ -133,14 +132,11 @@ def _read(folders: Folders, settings: Settings) -> _Artifacts:
     )
 
 
-def _numbers(
-    folders: Folders, simulate: Mapping[str, simulation.Settings], read: _Artifacts, settings: Settings
-) -> dict[str, Any]:
+def _numbers(folders: Folders, read: _Artifacts, settings: Settings) -> dict[str, Any]:
     study, datasets, slopes = folders.study, {}, {}
     for name, line in study.surveys.items():
         clouds, poses = results.read_points(folders, name)
-        entry = surveys.simulated_from(line.raw, simulate)
-        model = simulate[entry] if entry else None
+        model = results.read_simulation(folders, name)
         slopes[name] = terrain.slopes(clouds, poses, *results.read_frame(folders, name), model)
         cell_m, pings = settings.cell_factor * line.point_spacing_m, results.read_pings(folders, name)
         datasets[name] = {

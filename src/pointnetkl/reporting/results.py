@@ -8,20 +8,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pointnetkl import simulation
 from pointnetkl.registration.covariance import table
 from pointnetkl.registration.covariance.label_table import LABELS, VARIATIONS
 from pointnetkl.reporting import terrain
 from pointnetkl.slam.benchmark.tables import ROWS, TRAJECTORIES
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import submap, survey, voxel
-from pointnetkl.workflow import artifacts
+from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import Study
 
 GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
 OURS = "network"  # whom the others are compared with, pair by pair
 
-_SURVEY = ("pings.parquet", "soundings.parquet")
+_SURVEY = ("pings.parquet", "soundings.parquet", "truth.parquet")
 _CUT = ("submaps.parquet", "poses.parquet", "clouds.npz", "labels.parquet", "errors.npz")
 _TESTED = (
     *("variations.parquet", "estimated.parquet", "predicted.parquet"),
@@ -188,6 +189,19 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
     if not np.array_equal(found, poses["submap"].to_numpy()):
         raise ResultsError(f"{path}: its submaps are not those of their poses; run dvc repro segment@{name}")
     return np.split(points[order], starts[1:]), poses
+
+
+def read_simulation(folders: Folders, name: str) -> simulation.Settings | None:
+    """Read what a survey was simulated with, which its truth says; None where it was measured, or no truth is known.
+
+    Raises:
+        SettingsError: the settings are not those of a simulation.
+    """
+    path = folders.survey(name, "truth.parquet")
+    metadata = artifacts.table_metadata(path)
+    if "simulate" not in metadata:
+        return None
+    return parameters.from_metadata(metadata, "simulate", simulation.Settings, path)
 
 
 def read_frame(folders: Folders, name: str) -> tuple[np.ndarray, str]:

@@ -1,7 +1,6 @@
 """Which surveys are simulated, and their sizes."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import PurePath
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,6 @@ import pandas as pd
 from pointnetkl.reporting.results import Labels
 from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose, survey, voxel
-
-
-def simulated_from(raw: str, simulate: Mapping[str, Any]) -> str | None:
-    """Return the entry of `simulate` that a survey's raw pings come from, None if they are somebody's own."""
-    folder, name = ("", *PurePath(raw).parts)[-2:]
-    return name if folder == "raw" and name in simulate else None
 
 
 def dataset(
