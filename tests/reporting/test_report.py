@@ -117,6 +117,19 @@ def leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
         yield from leaves(each, f"{path}.{key}")
 
 
+def test_the_headline_has_numbers_of_metrics_and_of_the_table_of_labels(made: report.Report, numbers: dict[str, dict]):
+    headline = json.loads(made.files["headline.json"])
+    assert list(headline) == list(fake_artifacts.TEST)
+    labels = pd.read_csv(io.BytesIO(made.files["tables/labels.csv"]))
+    for name, each in headline.items():
+        assert each["KL_nats"] == {method: numbers["kl"][name][method]["mean"] for method in each["KL_nats"]}
+        (row,) = labels[
+            (labels["survey"] == name) & (labels["eigenvalue"] == "larger") & (labels["of"] == "labels")
+        ].to_dict("records")
+        assert each["label_larger_m2"] == {key: row[f"{key}_m2"] for key in ("q05", "q50", "q95")}
+    assert "slam_gt_m" in headline["mine"]
+
+
 def test_what_is_not_known_of_a_user_s_survey_is_left_out(numbers: dict[str, dict]):
     assert numbers["datasets"]["mine"]["simulated"] is False
     assert numbers["datasets"]["mine"]["vehicle"] == "unknown"
@@ -261,7 +274,7 @@ def test_the_printed_lines_compare_pointnetkl_with_its_rivals(made: report.Repor
 def test_the_report_makes_the_files_and_folders_that_dvc_yaml_names(made: report.Report):
     stage = yaml.safe_load((Path(__file__).parents[2] / "dvc.yaml").read_text())["stages"]["report"]
     named = [out if isinstance(out, str) else next(iter(out)) for out in stage["outs"]]
-    assert {f"reports/{Path(name).parts[0]}" for name in made.files} <= set(named)
+    assert {f"reports/{Path(name).parts[0]}" for name in (*made.files, "models/network.md")} == set(named)
 
 
 def test_every_method_but_the_labels_own_has_a_page_of_its_worst_submaps(made: report.Report):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.reporting import page, results, terrain, text_table, words
+from pointnetkl.reporting import headline, page, results, terrain, text_table, words
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closures
 from pointnetkl.reporting.closures import tables as closure_tables
@@ -86,8 +86,11 @@ def make(folders: Folders, settings: Settings) -> Report:
     sections = words.sections(tables, numbers, copies)
     lead = words.lead(study, numbers["datasets"], read.labels, read.tests)
     title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
+    metrics = known_only(published(numbers))
+    larger_m2 = {name: read.labels[name].eigenvalues[:, 1] for name in study.test}
     files = {
-        "metrics.json": _json(known_only(published(numbers))),
+        "headline.json": _json(headline.select(metrics, larger_m2)),
+        "metrics.json": _json(metrics, sort_keys=True),
         **{f"tables/{name}": content for name, content in _table_files(tables)},
         **{f"figures/{name}.png": image for name, image in drawn.items()},
         "index.html": page.render(title, lead, sections, drawn).encode(),
@@ -228,8 +231,8 @@ def _figures(
             yield name, plots.png(figure)
 
 
-def _json(content: Numbers) -> bytes:
-    return (json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+def _json(content: Numbers, sort_keys: bool = False) -> bytes:
+    return (json.dumps(content, indent=2, sort_keys=sort_keys, allow_nan=False) + "\n").encode()
 
 
 def _short(methods: Numbers, wanted: Sequence[str], submaps: int) -> dict[str, Any]:
