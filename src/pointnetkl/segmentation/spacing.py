@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-_SIGMAS = 6.0  # farther from the median of its block, a sounding is suspect
+_SIGMAS = 6.0  # from the median of its block; a sounding farther off is suspect
 _BLOCK = 3  # cells along a block's edge
-_COMPANY = 2  # others that must be near for a suspect to be kept
+_COMPANY = 2  # neighbours that a suspect needs to be kept
 _TO_SIGMA = 1.4826  # from a median absolute deviation, for a Gaussian
 
 
@@ -54,11 +54,11 @@ def alternate(points: np.ndarray, edge: float, rng: np.random.Generator) -> np.n
 
 
 def outlying(points: np.ndarray, edge: float) -> np.ndarray:
-    """Return where (n,) soundings (n, 3) stand alone, as gross errors do and seabed does not.
+    """Return whether (n,) each sounding (n, 3) stands alone, as gross errors do and seabed does not.
 
-    A sounding is suspect when it lies more than 6 robust standard deviations from the median height of its
-    block of 3 x 3 cells. A rock or a wall makes suspects too, but is hit more than once: a suspect with two
-    others within one cell's edge is kept. A sounding far from all others in the plane stands alone as well.
+    A sounding is suspect when it lies more than 6 robust standard deviations from the median height of its block of
+    3 x 3 cells. A rock or a wall makes suspects too, but several: a suspect with two others within one cell's edge is
+    kept. A sounding far from all others in the plane stands alone as well.
     """
     if len(points) <= _COMPANY:
         return np.zeros(len(points), bool)
@@ -69,7 +69,7 @@ def outlying(points: np.ndarray, edge: float) -> np.ndarray:
 def _blunders(points: np.ndarray, block: np.ndarray, edge: float) -> np.ndarray:
     distance = np.abs(points[:, 2] - _median_by(block, points[:, 2]))
     sigma = _TO_SIGMA * _median_by(block, distance)
-    # a block of few soundings may look smoother than any sonar is
+    # few soundings may happen to lie closer together than any sonar measures
     suspect = distance > _SIGMAS * np.maximum(sigma, max(float(np.median(sigma)), 1e-3 * edge))
     suspect[suspect] = ~_in_company(points[suspect], points[suspect], edge)
     return suspect
@@ -83,11 +83,11 @@ def _remote(points: np.ndarray, block: np.ndarray, distance: float) -> np.ndarra
     return remote
 
 
-def _in_company(some: np.ndarray, points: np.ndarray, distance: float) -> np.ndarray:
-    """Return where (k,) `some` of the points have enough others within the distance."""
+def _in_company(queries: np.ndarray, points: np.ndarray, distance: float) -> np.ndarray:
+    """Return whether (k,) each of the queries, points of the cloud, has enough other points within the distance."""
     if len(points) <= _COMPANY:
-        return np.zeros(len(some), bool)
-    farthest = cKDTree(points).query(some, k=_COMPANY + 1)[0][:, -1]  # the first is the point itself
+        return np.zeros(len(queries), bool)
+    farthest = cKDTree(points).query(queries, k=_COMPANY + 1)[0][:, -1]  # the first is the point itself
     return np.asarray(farthest <= distance)
 
 
