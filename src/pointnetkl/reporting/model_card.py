@@ -1,4 +1,4 @@
-"""A model's card: what the model was made from, how good it is, what it is for and where it ends."""
+"""A model's card: what it is for, its training data, its quality and its limits."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,35 +11,37 @@ from pointnetkl.workflow.study import StudySurvey
 
 _INPUTS = {
     "pointnetkl": (
-        "`points` (clouds, points, 3), float32: zero mean, scaled to a largest norm of 1, one mean point a voxel of"
-        " {voxel:g}; `radius` (clouds,), float32: the largest norm before, in metres"
-        " (`pointnetkl.surveys.voxel.canonical` gives both)"
+        "`points` (clouds, points, 3), float32: zero mean, scaled to a largest norm of 1, one mean point per voxel of"
+        " {voxel:g}; `radius` (clouds,), float32: the largest norm before scaling, in metres"
+        " (`pointnetkl.surveys.voxel.canonical` returns both)"
     ),
     "mean_field": (
-        "`description` (clouds, numbers), float32: what `model.describe(points)` of this package's model gives; the"
+        "`description` (clouds, numbers), float32: the result of `model.describe(points)` of this package's model; the"
         " physics are not in the ONNX file"
     ),
 }
 _CHOICE = {
-    "pointnetkl": "It is the paper's.",
-    "mean_field": "Why this kind, and which of its numbers were chosen with those surveys in sight: `docs/network.md`.",
+    "pointnetkl": "This kind is the paper's.",
+    "mean_field": (
+        "`docs/network.md` says why it is of this kind,\nand which of its numbers were chosen while looking at those surveys."
+    ),
 }
 _LIMITS = {
     "pointnetkl": "",
     "mean_field": (
-        "- What it knows of registration is of copies of the very points (`label.copy: same`). Against labels of\n"
-        "  `split` it is too confident wherever points alone hold a copy.\n"
+        "- It describes registrations with a copy of the same points (`label.copy: same`). Against labels of `split`\n"
+        "  it is too confident wherever only its own points hold a copy in place.\n"
     ),
 }
 _NEEDED = ("model", "labels", "kl", "kl_floor0", "submaps", "floor_m2", "flagged")  # of a summary
 
 
 class ModelCardError(PointNetKLError):
-    """A training's summary does not say what the card tells."""
+    """A training's summary lacks a part of the card, or is of other surveys."""
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read what stage train says of a model in its summary.
+    """Read the summary of a model's training.
 
     Raises:
         ModelCardError: the summary lacks a part.
@@ -58,7 +60,9 @@ def files(folders: Folders) -> dict[str, bytes]:
         ModelCardError: a summary lacks a part, or is of another training.
     """
     summaries = {name: read(folders.reports / f"train/{name}.json") for name in folders.study.models}
-    return {f"models/{name}.md": text(name, each, folders.study.train).encode() for name, each in summaries.items()}
+    return {
+        f"models/{name}.md": text(name, summary, folders.study.train).encode() for name, summary in summaries.items()
+    }
 
 
 def text(name: str, summary: Mapping[str, Any], surveys: Mapping[str, StudySurvey]) -> str:
@@ -75,7 +79,7 @@ def text(name: str, summary: Mapping[str, Any], surveys: Mapping[str, StudySurve
     units = "m²" if dimensions == 2 else "m², m rad and rad²"
     return f"""# {name}
 
-The covariance Q of a submap's registration by GICP, from its points alone: for the weight of a loop closure.
+Predicts the covariance Q of a submap's registration by GICP from its points alone, to weight a loop closure.
 Trained by `dvc repro train@{name}`; stage `report` writes this page.
 
 | | |
@@ -97,19 +101,19 @@ Trained by `dvc repro train@{name}`; stage `report` writes this page.
 
 {_measures(summary)}
 
-Validation submaps are neighbours of training ones. What counts is unseen surveys: `reports/tables/kl.csv` and
-`calibration.csv` have them, beside the other methods. {_CHOICE[kind]}
+Validation submaps are neighbours of training submaps. What counts are surveys that the training has not seen:
+`reports/tables/kl.csv` and `calibration.csv` have these, beside the other methods. {_CHOICE[kind]}
 
 ## Limits
 
-- Q is of registrations that start and go as the labels' did; another spread of starts, another sensor noise or another
-  registration has another Q.
-- It holds for submaps like those above in spacing, extent and relief. `judge(points)` tells how far a submap is
-  from them; `is_novel` is set beyond the distance that 99 % of a survey stay below which had no part in the measure
-  (the median of such surveys), here for {_share(summary, "training")} of the training and
+- Q is of registrations with the labels' starts, noise and settings; another spread of starts, another sensor noise or
+  other settings of the registration give another Q.
+- It holds for submaps like those above in spacing, extent and relief. `judge(points)` returns how far a submap is
+  from them. `is_novel` is set beyond the distance below which 99 % of the submaps of a left-out survey stay
+  (the median over such surveys); here it is set for {_share(summary, "training")} of the training and
   {_share(summary, "validation")} of the validation submaps.
-  A submap that is not flagged may still be wrong: points that look usual are all that it sees.
-{_LIMITS[kind]}- Where registrations end in one of several places, Q is their mean square and no single Gaussian
+  Q may be wrong for a submap without this flag too, because the flag depends only on how its points look.
+{_LIMITS[kind]}- Where registrations end in one of several basins, Q is their mean square error, and no single Gaussian
   fits them.
 """
 
@@ -121,7 +125,7 @@ def _surveys(surveys: Mapping[str, StudySurvey], submaps: Mapping[str, int]) -> 
         for name, line in surveys.items()
     ]
     head = [
-        "| survey | raw pings | submaps | their length, m | point spacing, m | runs a label |",
+        "| survey | raw pings | submaps | submap length, m | point spacing, m | runs per label |",
         "|---|---|---|---|---|---|",
     ]
     return "\n".join([*head, *rows])
@@ -132,7 +136,7 @@ def _labels(labels: Mapping[str, Any]) -> str:
     yaw = "" if registration["dof"] == "xy" else f", yaw from N(0, ({label['prior_yaw_sigma_rad']:g} rad)²)"
     copy = "a copy of the submap" if label["copy"] == "same" else "one half of the submap's pings onto the other"
     return (
-        f"A label is the mean square error of so many registrations of {copy}, from starts drawn from"
+        f"A label is the mean square error of that many registrations of {copy}, from starts drawn from"
         f" N(0, {label['prior_variance_m2']:g} m²) in x and y{yaw}, with noise of {label['noise_sigma_m']:g} m on each"
         f" coordinate; matches within {registration['max_distance_m']:g} m."
     )
