@@ -23,7 +23,8 @@ _INPUTS = {
 _CHOICE = {
     "pointnetkl": "This kind is the paper's.",
     "mean_field": (
-        "`docs/network.md` says why it is of this kind,\nand which of its numbers were chosen while looking at those surveys."
+        "`docs/network.md` says why it is of this kind,\n"
+        "and which of its numbers were chosen while looking at those surveys."
     ),
 }
 _LIMITS = {
