@@ -105,7 +105,7 @@ def test_a_graph_without_a_track_cannot_be_exported(solved: Path):
         [*command, "--covariances", solved / "estimated.parquet"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert done.stderr == f"error: {solved / 'graph.npz'}: is of points without a track, so it has no edges to export\n"
+    assert done.stderr == f"error: {solved / 'graph.npz'}: its points have no track, so it has no edges to export\n"
 
 
 def lose_track(root: Path, name: str) -> None:

@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     columns = (arguments.submaps, submaps, predictions, targets.tolist(), moved.tolist())
     print(shared.in_columns([_row(*fields) for fields in zip(*columns, strict=True)]))
     print(
-        f"\n{len(submaps)} submaps, one point in a square of {posed_submaps.spacing(submaps):.3g} m;"
+        f"\n{len(submaps)} submaps, a point in each square of {posed_submaps.spacing(submaps):.3g} m;"
         f" registrations: {len(closures.node)}, loop closures: {len(closures.edges.source)};"
         f" chi2 {solved.chi2_before:.4g} before, {solved.chi2_after:.4g} after"
     )

@@ -13,6 +13,7 @@ import pandas as pd
 
 from pointnetkl.slam.benchmark import errors as slam_errors
 from pointnetkl.slam.benchmark import protocol
+from pointnetkl.slam.benchmark.protocol import Methods
 from pointnetkl.slam.graph import gtsam_search, pose_graph, survey_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -23,7 +24,6 @@ from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed
 
 _NOISE, _FALSE = 0, 1  # streams of random numbers: of the yaw noise, and of the false closures
-Methods = Mapping[str, Mapping[int, np.ndarray]]  # Q (M, M) by method and submap
 
 
 class StressError(PointNetKLError):
