@@ -47,8 +47,8 @@ def test_the_relative_error_of_gaussian_errors_is_that_of_theory():
 @pytest.mark.parametrize("share", [0.3, 0.05, 0.01])
 def test_the_relative_error_of_two_basins_is_that_of_counting(share: float):
     # nearly all of the variance is in how many runs are in the second basin
-    found = error_statistics.relative_error(two_basins(10_000, share))
-    assert found == pytest.approx(np.sqrt((1 / share - 1) / 10_000), rel=0.01)
+    error = error_statistics.relative_error(two_basins(10_000, share))
+    assert error == pytest.approx(np.sqrt((1 / share - 1) / 10_000), rel=0.01)
 
 
 def test_the_relative_error_is_the_same_in_every_frame():
@@ -62,8 +62,8 @@ def test_no_direction_has_a_larger_relative_error():
     sample = two_basins(3000, 0.03) @ TURN + gaussian(3000)
     directions = np.random.default_rng(2).standard_normal((2000, 2))
     products = (sample @ directions.T) ** 2
-    each = products.std(axis=0) / products.mean(axis=0) / np.sqrt(len(sample))
-    assert error_statistics.relative_error(sample) == pytest.approx(each.max(), rel=2e-3)
+    relative_errors = products.std(axis=0) / products.mean(axis=0) / np.sqrt(len(sample))
+    assert error_statistics.relative_error(sample) == pytest.approx(relative_errors.max(), rel=2e-3)
 
 
 def test_with_yaw_too_no_direction_has_a_larger_relative_error_whatever_the_units():

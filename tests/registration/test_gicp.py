@@ -1,4 +1,4 @@
-"""GICP in x and y: against an independent reference, against Open3D, and what must hold of any registration."""
+"""GICP in the plane: against the plain reference, against Open3D, and what must hold of any registration."""
 
 import dataclasses
 
@@ -30,15 +30,15 @@ def with_yaw(settings: gicp.Settings) -> gicp.Settings:
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_the_kernel_agrees_with_the_reference_within_a_millimetre(kind: str) -> None:
     cloud = gicp.prepare(terrains.cloud(kind, 400), FINE)
-    found = gicp.register_noisy(cloud, cloud, moves(100), NOISE, FINE).T_target_copy.translation
+    translations = gicp.register_noisy(cloud, cloud, moves(100), NOISE, FINE).T_target_copy.translation
     target = reference.Cloud(cloud.points, reference.normals(cloud.points, cloud.lists))
     expected = []
-    for move, some in zip(moves(100), NOISE.of_runs(100, len(cloud.points)), strict=True):
-        moved = cloud.points + np.append(move, 0) + some
+    for move, noise in zip(moves(100), NOISE.of_runs(100, len(cloud.points)), strict=True):
+        moved = cloud.points + np.append(move, 0) + noise
         copy = reference.Cloud(moved, reference.normals(moved, cloud.lists))
         expected.append(reference.register(copy, target, FINE)[0].translation)
-    apart = np.linalg.norm(found - np.stack(expected), axis=1)
-    assert np.mean(apart < 1e-3) >= 0.99
+    difference = np.linalg.norm(translations - np.stack(expected), axis=1)
+    assert np.mean(difference < 1e-3) >= 0.99
 
 
 @pytest.mark.parametrize("kind", EVERY_KIND)
@@ -94,19 +94,19 @@ def aligned(source: gicp.Cloud, target: gicp.Cloud, settings: gicp.Settings) -> 
 def test_a_cloud_moved_over_itself_is_moved_back(kind: str) -> None:
     points = terrains.cloud(kind, 2000)
     target = gicp.prepare(points, SETTINGS)
-    found = gicp.register(gicp.prepare(points + np.array([2.0, -1.5, 0.0]), SETTINGS), target, SETTINGS)
-    assert found.converged
-    assert found.matched_share == 1
-    assert np.allclose(found.T_target_source.translation, [-2.0, 1.5], atol=1e-3)
+    result = gicp.register(gicp.prepare(points + np.array([2.0, -1.5, 0.0]), SETTINGS), target, SETTINGS)
+    assert result.converged
+    assert result.matched_share == 1
+    assert np.allclose(result.T_target_source.translation, [-2.0, 1.5], atol=1e-3)
 
 
 def test_another_pass_over_rugged_ground_is_found_within_centimetres_wherever_the_map_lies() -> None:
     for origin in ([0.0, 0.0, 0.0], [650_000.0, 6_400_000.0, -350.0]):
         target = gicp.prepare(terrains.cloud("rugged", 4000, 1) + origin, SETTINGS)
         source = gicp.prepare(terrains.cloud("rugged", 2000, 2, 60.0) + origin + [31.0, 20.0, 0.0], SETTINGS)
-        found = gicp.register(source, target, SETTINGS, SE2(np.array([-30.0, -21.0]), 0.0))
-        assert found.converged
-        assert np.allclose(found.T_target_source.translation, [-31.0, -20.0], atol=0.1)
+        result = gicp.register(source, target, SETTINGS, SE2(np.array([-30.0, -21.0]), 0.0))
+        assert result.converged
+        assert np.allclose(result.T_target_source.translation, [-31.0, -20.0], atol=0.1)
 
 
 def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
@@ -122,16 +122,16 @@ def test_open3d_finds_the_same_translation_on_rugged_ground() -> None:
 @pytest.mark.parametrize("kind", EVERY_KIND)
 def test_the_kernel_with_yaw_agrees_with_the_reference_within_a_millimetre_and_a_hundred_thousandth(kind: str) -> None:
     cloud = gicp.prepare(terrains.cloud(kind, 400), FINE)
-    found = gicp.register_noisy(cloud, cloud, moves(50), NOISE, with_yaw(FINE))
+    results = gicp.register_noisy(cloud, cloud, moves(50), NOISE, with_yaw(FINE))
     points = cloud.points - cloud.centre
     target = reference.Cloud(points, reference.normals(points, cloud.lists))
     expected = []
-    for move, some in zip(moves(50), NOISE.of_runs(50, len(points)), strict=True):
-        moved = points + np.append(move, 0) + some
+    for move, noise in zip(moves(50), NOISE.of_runs(50, len(points)), strict=True):
+        moved = points + np.append(move, 0) + noise
         copy = reference.Cloud(moved, reference.normals(moved, cloud.lists))
         expected.append(reference.register(copy, target, with_yaw(FINE))[0])
-    apart = np.abs(found.T_target_copy.to_vector() - np.stack([T.to_vector() for T in expected]))
-    assert np.mean((apart < [1e-3, 1e-3, 1e-5]).all(axis=1)) >= 0.97
+    difference = np.abs(results.T_target_copy.to_vector() - np.stack([T.to_vector() for T in expected]))
+    assert np.mean((difference < [1e-3, 1e-3, 1e-5]).all(axis=1)) >= 0.97
 
 
 def test_a_cloud_turned_over_itself_is_turned_back() -> None:
@@ -139,41 +139,45 @@ def test_a_cloud_turned_over_itself_is_turned_back() -> None:
     target = gicp.prepare(points, SETTINGS)
     c, s = np.cos(0.02), np.sin(0.02)
     turned = (points - target.centre) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + target.centre + [1.0, -0.5, 0.0]
-    found = gicp.register(gicp.prepare(turned, SETTINGS), target, with_yaw(SETTINGS))
-    assert found.converged
-    assert np.isclose(found.T_target_source.yaw, -0.02, atol=1e-5)
+    result = gicp.register(gicp.prepare(turned, SETTINGS), target, with_yaw(SETTINGS))
+    assert result.converged
+    assert np.isclose(result.T_target_source.yaw, -0.02, atol=1e-5)
     # it is turned about the target's centre first, with its own centre at (1, -0.5), then translated
-    assert np.allclose(found.T_target_source.translation, -np.array([[c, s], [-s, c]]) @ [1.0, -0.5], atol=1e-3)
+    assert np.allclose(result.T_target_source.translation, -np.array([[c, s], [-s, c]]) @ [1.0, -0.5], atol=1e-3)
 
 
-def test_yaw_is_free_to_take_what_a_turned_copy_would_else_put_into_translation() -> None:
+def test_with_yaw_the_translation_across_a_ridge_stays_small() -> None:
     cloud = gicp.prepare(terrains.cloud("ridge", 2000), SETTINGS)
-    one, three = (gicp.register_noisy(cloud, cloud, moves(100), NOISE, s) for s in (SETTINGS, with_yaw(SETTINGS)))
-    assert np.array_equal(one.T_target_copy.yaw, np.zeros(100))
-    assert 1e-6 < np.asarray(three.T_target_copy.yaw).std() < 1e-2
-    assert (three.T_target_copy.translation + moves(100))[:, 1].std() < 0.1  # across the ridge
+    without_yaw, yaw_too = (
+        gicp.register_noisy(cloud, cloud, moves(100), NOISE, s) for s in (SETTINGS, with_yaw(SETTINGS))
+    )
+    assert np.array_equal(without_yaw.T_target_copy.yaw, np.zeros(100))
+    assert 1e-6 < np.asarray(yaw_too.T_target_copy.yaw).std() < 1e-2
+    assert (yaw_too.T_target_copy.translation + moves(100))[:, 1].std() < 0.1  # across the ridge
 
 
-def test_a_search_may_begin_turned() -> None:
+def test_a_start_with_yaw_reaches_a_large_turn() -> None:
     points = terrains.cloud("rugged", 2000) + np.array([50.0, -20.0, 0.0])
     target = gicp.prepare(points, SETTINGS)
-    turn, move = 2.0, np.array([4.0, -2.0])  # too far to be found from where the cloud is
-    away = rotate(points[:, :2] - target.centre[:2] - move, -turn) + target.centre[:2]
-    source = gicp.prepare(np.column_stack([away, points[:, 2]]), SETTINGS)
-    found = gicp.register(source, target, with_yaw(SETTINGS), SE2(np.array([3.5, -1.7]), 1.99))
-    assert found.T_target_source.yaw == pytest.approx(turn, abs=1e-4)
-    assert found.T_target_source.translation == pytest.approx(move, abs=1e-2)
-    assert abs(gicp.register(source, target, with_yaw(SETTINGS)).T_target_source.yaw - turn) > 0.1
+    yaw, translation = 2.0, np.array([4.0, -2.0])  # too far to be found from where the cloud is
+    xy = rotate(points[:, :2] - target.centre[:2] - translation, -yaw) + target.centre[:2]
+    source = gicp.prepare(np.column_stack([xy, points[:, 2]]), SETTINGS)
+    result = gicp.register(source, target, with_yaw(SETTINGS), SE2(np.array([3.5, -1.7]), 1.99))
+    assert result.T_target_source.yaw == pytest.approx(yaw, abs=1e-4)
+    assert result.T_target_source.translation == pytest.approx(translation, abs=1e-2)
+    assert abs(gicp.register(source, target, with_yaw(SETTINGS)).T_target_source.yaw - yaw) > 0.1
     noisy = gicp.register_noisy(source, target, np.array([[0.0, 0.0, 1.99]]), NOISE, with_yaw(SETTINGS))
-    assert noisy.T_target_copy.yaw == pytest.approx([turn], abs=1e-2)
+    assert noisy.T_target_copy.yaw == pytest.approx([yaw], abs=1e-2)
 
 
 def test_information_with_yaw_is_that_of_the_cost_about_the_solution() -> None:
     target = gicp.prepare(terrains.cloud("rugged", 400), FINE)
-    found = gicp.register(target, target, with_yaw(FINE))
-    A = gicp.linearise(target.points, target.normals.astype(float), target, found.T_target_source, with_yaw(FINE))
-    assert found.information == pytest.approx(A.information, rel=1e-4)
-    assert found.information[:2, :2] == pytest.approx(gicp.register(target, target, FINE).information, rel=1e-6)
+    result = gicp.register(target, target, with_yaw(FINE))
+    solution = gicp.linearise(
+        target.points, target.normals.astype(float), target, result.T_target_source, with_yaw(FINE)
+    )
+    assert result.information == pytest.approx(solution.information, rel=1e-4)
+    assert result.information[:2, :2] == pytest.approx(gicp.register(target, target, FINE).information, rel=1e-6)
 
 
 def test_a_start_with_a_yaw_needs_the_dof() -> None:
@@ -184,24 +188,24 @@ def test_a_start_with_a_yaw_needs_the_dof() -> None:
         gicp.register_noisy(cloud, cloud, np.zeros((1, 3)), NOISE, SETTINGS)
 
 
-def test_clouds_too_far_apart_are_left_where_they_are() -> None:
+def test_a_registration_without_matches_returns_its_start() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
     for start in ((500.0, 3.0), (5e7, 0.0)):
-        found = gicp.register(cloud, cloud, SETTINGS, SE2(np.array(start), 0.0))
-        assert not found.converged
-        assert found.matched_share == 0
-        assert np.array_equal(found.T_target_source.translation, start)
-        assert np.array_equal(found.information, np.zeros((2, 2)))
+        result = gicp.register(cloud, cloud, SETTINGS, SE2(np.array(start), 0.0))
+        assert not result.converged
+        assert result.matched_share == 0
+        assert np.array_equal(result.T_target_source.translation, start)
+        assert np.array_equal(result.information, np.zeros((2, 2)))
 
 
-def test_a_part_that_overlaps_is_enough() -> None:
+def test_a_partial_overlap_is_enough() -> None:
     target = gicp.prepare(terrains.cloud("rugged", 3000, 1), SETTINGS)
     beyond = terrains.cloud("rugged", 6000, 2, 180.0)
     source = gicp.prepare(beyond[beyond[:, 0] > 10], SETTINGS)
-    near = dataclasses.replace(SETTINGS, max_distance_m=3.0)
-    found = gicp.register(source, target, near, SE2(np.array([1.0, 0.5]), 0.0))
-    assert 0.2 < found.matched_share < 0.9
-    assert np.linalg.norm(found.T_target_source.translation) < 0.1
+    settings = dataclasses.replace(SETTINGS, max_distance_m=3.0)
+    result = gicp.register(source, target, settings, SE2(np.array([1.0, 0.5]), 0.0))
+    assert 0.2 < result.matched_share < 0.9
+    assert np.linalg.norm(result.T_target_source.translation) < 0.1
 
 
 def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registration() -> None:
@@ -212,10 +216,10 @@ def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registrati
     clouds = [np.repeat(ground, 30, axis=0), wall, line, np.vstack([ground, [[9e4, -9e4, 0]]]), np.ones((50, 3))]
     for points in (*clouds, ground[:3]):
         cloud = gicp.prepare(points, SETTINGS)
-        found = gicp.register(cloud, cloud, SETTINGS, SE2(np.array([0.3, 0.2]), 0.0))
+        result = gicp.register(cloud, cloud, SETTINGS, SE2(np.array([0.3, 0.2]), 0.0))
         assert np.isfinite(cloud.normals).all()
-        assert np.isfinite(found.T_target_source.translation).all()
-        assert (np.linalg.eigvalsh(found.information) > 0).all()
+        assert np.isfinite(result.T_target_source.translation).all()
+        assert (np.linalg.eigvalsh(result.information) > 0).all()
 
 
 @pytest.mark.parametrize(
@@ -227,7 +231,7 @@ def test_duplicates_walls_lines_and_outliers_neither_hang_nor_break_a_registrati
         (np.diag([2e5, 0, 0]), "200000 m"),
     ],
 )
-def test_a_cloud_that_cannot_be_registered_is_refused_and_told_why(points: np.ndarray, why: str) -> None:
+def test_a_cloud_that_cannot_be_registered_is_refused_with_the_reason(points: np.ndarray, why: str) -> None:
     with pytest.raises(gicp.GicpError, match=why):
         gicp.prepare(points, SETTINGS)
 

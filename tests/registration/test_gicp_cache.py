@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: another process answers with the same bytes, and a changed file is never ignored."""
+"""Compiled kernels on disk: another process returns the same bytes, and a changed file is compiled again."""
 
 import os
 import shutil
@@ -13,15 +13,15 @@ REGISTER = """
 import numpy as np
 import terrains
 from pointnetkl.registration import gicp
-how = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
-cloud = gicp.prepare(terrains.cloud("mild", 400), how)
-registrations = gicp.register_noisy(cloud, cloud, np.ones((5, 2)), gicp.Noise(0.2, 3), how)
+settings = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
+cloud = gicp.prepare(terrains.cloud("mild", 400), settings)
+registrations = gicp.register_noisy(cloud, cloud, np.ones((5, 2)), gicp.Noise(0.2, 3), settings)
 print(registrations.T_target_copy.translation.tobytes().hex())
 """
 
 
 def registered(source: Path, cache: Path) -> str:
-    """Return what a process of its own, with kernels kept in `cache`, answers."""
+    """Return what a new process, with kernels kept in `cache`, prints."""
     path = os.pathsep.join([str(source), str(ROOT / "tests/helpers")])
     environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)}
     return subprocess.run(

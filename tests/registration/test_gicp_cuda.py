@@ -1,4 +1,4 @@
-"""The engine cuda: on numba's simulator against the CPU, in a process of its own; its compiled code, where NVVM is."""
+"""The engine cuda: on numba's simulator against the CPU, in a new process; its compiled code, where NVVM is."""
 
 import contextlib
 import importlib
@@ -41,20 +41,20 @@ def wall(points: int) -> np.ndarray:
 
 
 def simulate() -> dict[str, gicp.Registrations]:
-    """Register copies of every kind of cloud on the simulator; the key says the kind, or what else is odd."""
+    """Register copies of every kind of cloud on the simulator; the keys name the kind or the special case."""
     simulated_gpu.install()
-    found = {kind: on_cuda(terrains.cloud(kind, POINTS)) for kind in KINDS} | {"wall": on_cuda(wall(POINTS))}
+    results = {kind: on_cuda(terrains.cloud(kind, POINTS)) for kind in KINDS} | {"wall": on_cuda(wall(POINTS))}
     rugged = terrains.cloud("rugged", POINTS)
-    found["far"] = on_cuda(rugged, moved_m=500.0)
-    found["halves"] = on_cuda(rugged[::2], rugged[1::2])
-    found["last"] = on_cuda(rugged, noise=replace(NOISE, first=NOISE.first + RUNS - 1), only=slice(RUNS - 1, RUNS))
+    results["far"] = on_cuda(rugged, moved_m=500.0)
+    results["halves"] = on_cuda(rugged[::2], rugged[1::2])
+    results["last"] = on_cuda(rugged, noise=replace(NOISE, first=NOISE.first + RUNS - 1), only=slice(RUNS - 1, RUNS))
     cuda._own.lane = simulated_gpu.HostLane(1)
-    found["alone"] = on_cuda(rugged)
-    return found
+    results["alone"] = on_cuda(rugged)
+    return results
 
 
-def on_cuda(source: np.ndarray, target: np.ndarray | None = None, **how: Any) -> gicp.Registrations:
-    return registered(source, target, engine="cuda", **how)
+def on_cuda(source: np.ndarray, target: np.ndarray | None = None, **options: Any) -> gicp.Registrations:
+    return registered(source, target, engine="cuda", **options)
 
 
 def registered(
@@ -73,7 +73,7 @@ def registered(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the process that simulates has written what it found."""
+    """Return the folder into which the simulating process has written its results."""
     folder = tmp_path_factory.mktemp("simulated")
     result = simulated_gpu.run(__file__, str(folder), cwd=ROOT, timeout=600)
     assert result.returncode == 0, result.stderr
@@ -82,8 +82,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def simulated(folder: Path) -> dict[str, gicp.Registrations]:
-    """What `simulate` returned there."""
-    with np.load(folder / "found.npz") as arrays:
+    """Return what `simulate` returned in that process."""
+    with np.load(folder / "results.npz") as arrays:
         return {
             name: gicp.Registrations(
                 SE2.from_vector(arrays[f"{name} T"]), arrays[f"{name} converged"], arrays[f"{name} iterations"]
@@ -94,10 +94,10 @@ def simulated(folder: Path) -> dict[str, gicp.Registrations]:
 
 @pytest.mark.parametrize("kind", [*KINDS, "wall"])
 def test_the_gpus_kernel_answers_as_the_cpus_does(simulated: dict[str, gicp.Registrations], kind: str) -> None:
-    there, here = simulated[kind], registered(wall(POINTS) if kind == "wall" else terrains.cloud(kind, POINTS))
-    assert np.allclose(there.T_target_copy.translation, here.T_target_copy.translation, atol=1e-4)
-    assert np.array_equal(there.iterations, here.iterations)
-    assert np.array_equal(there.converged, here.converged)
+    on_gpu, on_cpu = simulated[kind], registered(wall(POINTS) if kind == "wall" else terrains.cloud(kind, POINTS))
+    assert np.allclose(on_gpu.T_target_copy.translation, on_cpu.T_target_copy.translation, atol=1e-4)
+    assert np.array_equal(on_gpu.iterations, on_cpu.iterations)
+    assert np.array_equal(on_gpu.converged, on_cpu.converged)
 
 
 def test_one_half_registers_onto_the_other_as_on_the_cpu(simulated: dict[str, gicp.Registrations]) -> None:
@@ -121,12 +121,12 @@ def test_a_run_has_the_same_answer_in_every_launch(simulated: dict[str, gicp.Reg
 
 
 @NO_GPU
-def test_without_a_gpu_one_is_told_what_is_missing() -> None:
+def test_without_a_gpu_the_error_says_what_is_missing() -> None:
     with pytest.raises(gicp.GicpError, match="needs an NVIDIA GPU"):
         on_cuda(terrains.cloud("mild", 50))
 
 
-def test_what_the_engine_does_not_do_it_refuses() -> None:
+def test_the_engine_refuses_yaw() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 50), SETTINGS)
     with pytest.raises(gicp.GicpError, match="x and y alone"):
         gicp.register_noisy(cloud, cloud, np.zeros((1, 2)), NOISE, replace(SETTINGS, dof="xyyaw"), engine="cuda")
@@ -137,7 +137,7 @@ def test_a_cloud_that_does_not_fit_is_refused_before_anything_is_copied() -> Non
         cuda._room(simulated_gpu.HostLane(), 20_000_000, 1)
 
 
-def test_to_use_gicp_on_a_cpu_nothing_of_the_gpus_is_imported() -> None:
+def test_registration_on_a_cpu_imports_nothing_for_gpus() -> None:
     room = "pointnetkl.registration.gicp"
     code = f"import sys; import {room}; sys.exit('{room}.cuda' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -145,21 +145,23 @@ def test_to_use_gicp_on_a_cpu_nothing_of_the_gpus_is_imported() -> None:
 
 def test_interleaved_candidates_are_those_of_the_table_and_a_far_one_for_each_that_is_missing() -> None:
     target = gicp.prepare(terrains.cloud("mild", 50), SETTINGS).as_target
-    there = cuda_matching.interleaved(target)
+    interleaved = cuda_matching.interleaved(target)
     cells, n = len(target.reach), len(target.points) // 3
-    numbers = there.numbers.reshape(-1, matching.CANDIDATES, 32).transpose(0, 2, 1).reshape(-1, matching.CANDIDATES)
+    numbers = (
+        interleaved.numbers.reshape(-1, matching.CANDIDATES, 32).transpose(0, 2, 1).reshape(-1, matching.CANDIDATES)
+    )
     expected = np.sort(target.numbers.reshape(cells, -1), axis=1)
-    for one, other in zip(numbers[:cells], expected, strict=True):
-        assert sorted(one[one < n]) == list(other[other >= 0])
-    assert (there.candidates.reshape(3, -1)[:, n] > 1e10).all()
+    for candidates, in_table in zip(numbers[:cells], expected, strict=True):
+        assert sorted(candidates[candidates < n]) == list(in_table[in_table >= 0])
+    assert (interleaved.candidates.reshape(3, -1)[:, n] > 1e10).all()
 
 
 def test_the_benchmark_of_the_gpu_ends_in_its_numbers(folder: Path) -> None:
-    found = json.loads((folder / "benchmark").read_text().splitlines()[-1])
-    assert found["share_within_1mm"] == 1
-    assert found["kl_largest_floor0"] < 1e-3
-    assert found["paper_kernel_s"] == pytest.approx(9080 * 3000 / found["kernel_per_s"], rel=1e-3)
-    assert found["paper_all_s"] == pytest.approx(9080 * 3000 / found["all_per_s"], rel=1e-3)
+    numbers = json.loads((folder / "benchmark").read_text().splitlines()[-1])
+    assert numbers["share_within_1mm"] == 1
+    assert numbers["kl_largest_floor0"] < 1e-3
+    assert numbers["paper_kernel_s"] == pytest.approx(9080 * 3000 / numbers["kernel_per_s"], rel=1e-3)
+    assert numbers["paper_all_s"] == pytest.approx(9080 * 3000 / numbers["all_per_s"], rel=1e-3)
 
 
 @NO_GPU
@@ -235,6 +237,6 @@ if __name__ == "__main__":
     for name, outcome in simulate().items():
         arrays[f"{name} T"] = outcome.T_target_copy.to_vector()
         arrays[f"{name} converged"], arrays[f"{name} iterations"] = outcome.converged, outcome.iterations
-    np.savez(written / "found.npz", **arrays)
+    np.savez(written / "results.npz", **arrays)
     with (written / "benchmark").open("w") as printed, contextlib.redirect_stdout(printed):
         benchmark()

@@ -1,4 +1,4 @@
-"""Truths of a registration made linear at its solution: matches, weights, Jacobian, and the copy that it looks at."""
+"""A registration linearised at its solution: matches, weights, Jacobian and the noisy copy."""
 
 import dataclasses
 
@@ -28,28 +28,28 @@ def test_a_weight_is_the_inverse_of_the_two_points_covariances():
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_nothing_pulls_at_the_solution(dimensions):
+def test_the_gradient_vanishes_at_the_solution(dimensions):
     cloud = gicp.prepare(submap("rugged").points, FINE[dimensions])
     solution = gicp.solve(cloud, cloud, NOISE, FINE[dimensions])
     pull = np.einsum("nij,nj->i", solution.gains, solution.residuals)
     step = np.linalg.solve(solution.information, pull)
     assert np.abs(step).max() < 1e-5
-    assert np.abs(np.linalg.norm(solution.residuals, axis=1)).mean() > 0.05  # there is something that could
+    assert np.abs(np.linalg.norm(solution.residuals, axis=1)).mean() > 0.05  # there are residuals that could pull
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_information_is_the_kernel_s_own(dimensions):
     target = gicp.prepare(submap("rugged").points, FINE[dimensions])
     source = gicp.prepare(submap("rugged", 1).points, FINE[dimensions])
-    found = gicp.register(source, target, FINE[dimensions])
+    result = gicp.register(source, target, FINE[dimensions])
     solution = gicp.linearise(
-        source.points, source.normals.astype(float), target, found.T_target_source, FINE[dimensions]
+        source.points, source.normals.astype(float), target, result.T_target_source, FINE[dimensions]
     )
-    share = np.sqrt(np.outer(np.diag(found.information), np.diag(found.information)))
-    np.testing.assert_allclose(solution.information / share, found.information / share, atol=1e-3)
+    scale = np.sqrt(np.outer(np.diag(result.information), np.diag(result.information)))
+    np.testing.assert_allclose(solution.information / scale, result.information / scale, atol=1e-3)
 
 
-def test_the_jacobian_is_how_points_move():
+def test_the_jacobian_says_how_points_move():
     arms, step = np.array([[3.0, -2.0, 1.0], [0.5, 4.0, 0.0]]), 1e-6
     A = linearised.jacobian(arms, 3)
     turn = np.array([[1, -step, 0], [step, 1, 0], [0, 0, 1]])
@@ -57,7 +57,7 @@ def test_the_jacobian_is_how_points_move():
     np.testing.assert_allclose(A @ [step, 2 * step, 0], [[step, 2 * step, 0]] * 2)
 
 
-def test_yaw_about_another_place_is_a_yaw_and_a_shift():
+def test_a_yaw_about_another_centre_is_a_yaw_and_a_shift():
     cloud = gicp.prepare(submap("rugged").points, WITH_YAW)
     solution = gicp.solve(cloud, cloud, NOISE, WITH_YAW)
     place = np.array([5.0, -3.0, 0.0])
@@ -78,7 +78,7 @@ def test_the_copy_is_the_one_that_is_registered():
     assert np.abs((plane * normals).sum(axis=1)).min() > 0.999
 
 
-def test_flat_ground_says_nothing_along_its_normals():
+def test_flat_ground_gives_no_information_along_its_normals():
     flat = submap("flat").points
     cloud = gicp.prepare(flat, REGISTRATION)
     solution = gicp.linearise(cloud.points, cloud.normals.astype(float), cloud, SE2.identity(), REGISTRATION)
@@ -88,7 +88,7 @@ def test_flat_ground_says_nothing_along_its_normals():
 
 def test_points_too_far_from_the_target_are_left_out():
     cloud = gicp.prepare(submap("rugged").points, REGISTRATION)
-    there = cloud.points + [0, 0, 1e3 * (np.arange(len(cloud.points)) % 2)][2][:, None] * [0, 0, 1]
-    solution = gicp.linearise(there, cloud.normals.astype(float), cloud, SE2.identity(), REGISTRATION)
-    assert len(solution.matches) == len(there[::2])
+    points = cloud.points + [0, 0, 1e3 * (np.arange(len(cloud.points)) % 2)][2][:, None] * [0, 0, 1]
+    solution = gicp.linearise(points, cloud.normals.astype(float), cloud, SE2.identity(), REGISTRATION)
+    assert len(solution.matches) == len(points[::2])
     np.testing.assert_allclose(solution.residuals, 0.0, atol=1e-9)

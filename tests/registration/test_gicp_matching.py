@@ -1,4 +1,4 @@
-"""Matching: the two nearest points are exactly those of a k-d tree, wherever the query lies."""
+"""Matching: the two nearest points are exactly those of a k-d tree, for a query anywhere."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from pointnetkl.registration.gicp import matching
 SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
 
 
-def matched(cloud: gicp.Cloud, queries: np.ndarray, farthest: float = 1e6) -> tuple[np.ndarray, np.ndarray, int]:
+def matched(cloud: gicp.Cloud, queries: np.ndarray, max_distance: float = 1e6) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the numbers and distances (n, 2) of the two nearest, and how many queries the table could answer."""
     numbers, distances, answered = [], [], 0
     for x, y, z in (queries - cloud.centre).astype(np.float32):
         near, other, near_m, other_m, exact = matching.look_up(x, y, z, cloud.as_target)
         answered += exact
         if not exact:
-            near, other, near_m, other_m = matching.search(x, y, z, np.float32(farthest), -1, -1, cloud.as_target)
+            near, other, near_m, other_m = matching.search(x, y, z, np.float32(max_distance), -1, -1, cloud.as_target)
         numbers.append((near, other))
         distances.append((near_m, other_m))
     return np.array(numbers), np.array(distances), answered
@@ -38,7 +38,7 @@ def test_the_two_nearest_are_those_of_a_k_d_tree(kind: str) -> None:
 
 
 @given(seed=st.integers(0, 10_000), stretch=st.sampled_from([0.01, 1.0, 30.0]), far=st.sampled_from([0.1, 3.0, 50.0]))
-def test_a_table_that_says_so_is_right_on_any_cloud(seed: int, stretch: float, far: float) -> None:
+def test_a_look_up_that_says_it_is_exact_is_exact_on_any_cloud(seed: int, stretch: float, far: float) -> None:
     rng = np.random.default_rng(seed)
     points = rng.standard_cauchy((60, 3)).clip(-1e3, 1e3) * [1, stretch, 1]
     cloud = gicp.prepare(np.vstack([points, points[:5]]), SETTINGS)
@@ -48,7 +48,7 @@ def test_a_table_that_says_so_is_right_on_any_cloud(seed: int, stretch: float, f
     assert np.allclose(distances, expected, rtol=1e-4, atol=1e-2)
 
 
-def test_nothing_is_found_beyond_the_farthest_distance() -> None:
+def test_a_search_ends_at_the_largest_distance() -> None:
     cloud = gicp.prepare(terrains.cloud("mild", 300), SETTINGS)
     near, other, near_m, other_m = matching.search(
         np.float32(200), np.float32(0), np.float32(0), np.float32(20), -1, -1, cloud.as_target

@@ -1,4 +1,4 @@
-"""The counter-based noise: Philox's known answers, normal numbers, and the same draws in whatever batch."""
+"""The counter-based noise: Philox's published answers, normal numbers, and the same draws in every batch."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,9 @@ from pointnetkl.registration.gicp import noise
         ),
     ],
 )
-def test_philox_gives_its_known_answers(counter: tuple[int, ...], key: tuple[int, ...], words: tuple[int, ...]) -> None:
+def test_philox_gives_the_published_answers(
+    counter: tuple[int, ...], key: tuple[int, ...], words: tuple[int, ...]
+) -> None:
     assert noise.philox(*map(np.uint32, counter + key)) == words
 
 
@@ -39,11 +41,11 @@ def test_noise_is_normal_in_every_coordinate_and_independent_between_them() -> N
 def test_neighbouring_points_runs_and_keys_have_unrelated_noise() -> None:
     drawn = gicp.Noise(1.0, 5).of_runs(200, 1000).astype(np.float64)
     other = gicp.Noise(1.0, 6).of_runs(200, 1000)
-    for one, two in ((drawn[1:], drawn[:-1]), (drawn[:, 1:], drawn[:, :-1]), (drawn, other)):
-        assert abs(np.mean(one * two)) < 5 / np.sqrt(one.size)
+    for a, b in ((drawn[1:], drawn[:-1]), (drawn[:, 1:], drawn[:, :-1]), (drawn, other)):
+        assert abs(np.mean(a * b)) < 5 / np.sqrt(a.size)
 
 
-def test_a_run_has_the_same_noise_in_whatever_batch_and_at_whatever_size() -> None:
+def test_a_run_has_the_same_noise_in_every_batch_and_for_every_number_of_points() -> None:
     whole = gicp.Noise(0.3, 2**63 - 1).of_runs(10, 100)
     assert np.array_equal(gicp.Noise(0.3, 2**63 - 1, first=7).of_runs(3, 50), whole[7:, :50])
 
@@ -52,7 +54,7 @@ def test_runs_beyond_32_bits_have_noise_of_their_own() -> None:
     assert not np.array_equal(gicp.Noise(1.0, 5, 2**32).of_runs(1, 10), gicp.Noise(1.0, 5).of_runs(1, 10))
 
 
-def test_no_noise_is_no_noise() -> None:
+def test_noise_of_sigma_zero_is_zero() -> None:
     assert not gicp.Noise(0.0, 1).of_runs(2, 10).any()
 
 

@@ -22,10 +22,10 @@ def errors(submap: np.ndarray, angle: float) -> np.ndarray:
     moves = np.pad(3 * rng.standard_normal((RUNS, 2)), ((0, 0), (0, 1)))
     copies = submap + moves[:, None] + 0.1 * rng.standard_normal((RUNS, *submap.shape))
     target = gicp.prepare(submap @ turn.T, FINE)
-    found = [
+    translations = [
         gicp.register(gicp.prepare(copy @ turn.T, FINE), target, FINE).T_target_source.translation for copy in copies
     ]
-    return np.asarray((moves @ turn.T)[:, :2] + found)
+    return np.asarray((moves @ turn.T)[:, :2] + translations)
 
 
 @pytest.mark.parametrize("kind", ["flat", "mild", "rugged", "ridge"])
