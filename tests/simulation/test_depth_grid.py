@@ -8,7 +8,6 @@ import pytest
 import rasterio
 import rasterio.shutil
 from rasterio.transform import from_origin
-from test_simulation import chosen, craft, georeferenced, sail
 
 from damage import corrupted
 from grid_files import RAMP, bag, geotiff
@@ -17,6 +16,7 @@ from pointnetkl.inspection import grids
 from pointnetkl.simulation import depth_grid, grid
 from pointnetkl.simulation.depth_grid import GridError
 from realdata import REALDATA
+from simulated_survey import georeferenced, quiet_vehicle, sail, short_line
 
 BERING, SCITUATE = (REALDATA / "grid" / name for name in ("bering_strait_2m.bag", "scituate_5m.tif"))
 real = pytest.mark.skipif(not BERING.exists(), reason="no real data here")
@@ -162,10 +162,10 @@ def test_the_real_grids_are_described():
 
 @real
 def test_a_survey_over_the_real_bag_has_its_depths():
-    layout = dataclasses.replace(chosen().layout, lines=2, line_length_m=300.0, azimuth_deg=20.0)
-    how = chosen(grid=str(BERING), centre_m=[], altitude_m=20.0, layout=layout)
+    layout = dataclasses.replace(short_line().layout, lines=2, line_length_m=300.0, azimuth_deg=20.0)
+    how = short_line(grid=str(BERING), centre_m=[], altitude_m=20.0, layout=layout)
     found = simulation.ground(how)
-    placed = georeferenced(sail(how, craft(), found)[0])
+    placed = georeferenced(sail(how, quiet_vehicle(), found)[0])
     assert placed[:, 2] == pytest.approx(found(placed[:, 0], placed[:, 1]), abs=0.1)
     assert -53.0 < placed[:, 2].min() < placed[:, 2].max() < -50.9
 

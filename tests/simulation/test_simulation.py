@@ -18,8 +18,8 @@ from pointnetkl.simulation import grid, noise, seabed, sonar, vehicle
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 from realdata import REALDATA
+from simulated_survey import PARAMS, georeferenced, quiet_vehicle, sail, short_line
 
-PARAMS = Path(__file__).parents[2] / "params.yaml"
 SCITUATE = REALDATA / "grid/scituate_5m.tif"
 
 
@@ -38,63 +38,27 @@ class Plane:
         return 0.0, 0.0
 
 
-def chosen(**changes: object) -> simulation.Settings:
-    """Return borno_8 of params.yaml on one short line, changed."""
-    found = parameters.read(PARAMS, "simulate.borno_8", simulation.Settings)
-    layout = vehicle.Layout(
-        lines=1, line_length_m=60.0, line_spacing_m=40.0, start_jitter_m=0.0, repeat_m=0.0, azimuth_deg=0.0
-    )
-    return dataclasses.replace(found, **({"layout": layout, "altitude_m": 30.0} | changes))
-
-
-def craft(**sonar_changes: float) -> vehicle.Settings:
-    """Return the Hugin of params.yaml without sway, noise or drift, its sonar changed."""
-    found = parameters.read(PARAMS, "vehicles.hugin", vehicle.Settings)
-    quiet = {"noise_m": 0.0, "dropouts": 0.0, "outliers": 0.0}
-    return vehicle.Settings(
-        speed_mps=found.speed_mps,
-        attitude=vehicle.Attitude(0.0, 0.0, 0.0, 10.0, 0.0, 0.0),
-        navigation=vehicle.Navigation(0.0, 0.0, 0.0, 100.0),
-        sonar=dataclasses.replace(found.sonar, **(quiet | sonar_changes)),
-    )
-
-
 def hugin() -> vehicle.Settings:
     """Return the Hugin of params.yaml as it is."""
     return parameters.read(PARAMS, "vehicles.hugin", vehicle.Settings)
 
 
-def sail(how: simulation.Settings, with_: vehicle.Settings, over: seabed.Seabed) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return all raw soundings and the truth."""
-    lines = list(simulation.survey(how, with_, over))
-    raw, truth = (pd.concat([getattr(line, part) for line in lines], ignore_index=True) for part in ("raw", "truth"))
-    return raw, truth
-
-
-def georeferenced(raw: pd.DataFrame) -> np.ndarray:
-    """Return the soundings (n, 3) in projected coordinates, as any reader of the format must place them."""
-    north, east = np.cos(raw["heading_rad"]), np.sin(raw["heading_rad"])
-    x = raw["x_m"] + east * raw["along_m"] + north * raw["across_m"]
-    y = raw["y_m"] + north * raw["along_m"] - east * raw["across_m"]
-    return np.column_stack([x, y, -raw["depth_m"] - raw["down_m"]])
-
-
 def test_the_same_seed_gives_the_same_survey():
-    first, second = (sail(chosen(), hugin(), simulation.ground(chosen())) for _ in range(2))
+    first, second = (sail(short_line(), hugin(), simulation.ground(short_line())) for _ in range(2))
     pd.testing.assert_frame_equal(first[0], second[0], check_exact=True)
     pd.testing.assert_frame_equal(first[1], second[1], check_exact=True)
 
 
 def test_another_seed_gives_another_seabed():
     x = np.linspace(0, 500, 50)
-    heights = [seabed.heights(chosen().terrain, seed, x, x) for seed in (1, 2)]
+    heights = [seabed.heights(short_line().terrain, seed, x, x) for seed in (1, 2)]
     assert np.abs(heights[0] - heights[1]).max() > 0.1
 
 
 @trials(deadline=None, max_examples=20)
 @given(st.floats(-5e4, 5e4), st.floats(-5e4, 5e4), st.integers(0, 40))
 def test_terrain_at_a_point_does_not_depend_on_what_else_is_asked(x: float, y: float, others: int):
-    terrain, more = chosen().terrain, np.linspace(-3e4, 3e4, others)
+    terrain, more = short_line().terrain, np.linspace(-3e4, 3e4, others)
     alone = seabed.heights(terrain, 3, np.array([x]), np.array([y]))
     among = seabed.heights(terrain, 3, np.append(more, x), np.append(more[::-1], y))
     assert among[-1] == alone[0]
@@ -121,8 +85,8 @@ def test_terrain_is_patchy():
 
 
 def test_a_ping_on_flat_seabed_is_flat_whatever_the_attitude():
-    swaying = dataclasses.replace(craft(), attitude=vehicle.Attitude(5.0, 4.0, 3.0, 9.0, 0.0, 2.0))
-    raw, truth = sail(chosen(), swaying, Plane(50.0))
+    swaying = dataclasses.replace(quiet_vehicle(), attitude=vehicle.Attitude(5.0, 4.0, 3.0, 9.0, 0.0, 2.0))
+    raw, truth = sail(short_line(), swaying, Plane(50.0))
     assert raw["down_m"].to_numpy() == pytest.approx(30.0, abs=0.02)
     assert georeferenced(raw)[:, 2] == pytest.approx(-50.0, abs=0.02)
     assert truth["z_m"].to_numpy() == pytest.approx(-20.0)
@@ -131,9 +95,9 @@ def test_a_ping_on_flat_seabed_is_flat_whatever_the_attitude():
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 70.0, 200.0])
 def test_port_is_left_of_the_course_and_starboard_right(azimuth_deg: float):
-    layout = dataclasses.replace(chosen().layout, azimuth_deg=azimuth_deg)
+    layout = dataclasses.replace(short_line().layout, azimuth_deg=azimuth_deg)
     plane = Plane(100.0, 0.2, -0.1)
-    raw, _ = sail(chosen(layout=layout), craft(), plane)
+    raw, _ = sail(short_line(layout=layout), quiet_vehicle(), plane)
     placed = georeferenced(raw)
     assert placed[:, 2] == pytest.approx(plane(placed[:, 0], placed[:, 1]), abs=0.05)
     course = np.deg2rad(azimuth_deg)
@@ -144,17 +108,19 @@ def test_port_is_left_of_the_course_and_starboard_right(azimuth_deg: float):
 
 
 def test_lines_run_back_and_forth():
-    layout = dataclasses.replace(chosen().layout, lines=3)
-    _, truth = sail(chosen(layout=layout), craft(), Plane())
+    layout = dataclasses.replace(short_line().layout, lines=3)
+    _, truth = sail(short_line(layout=layout), quiet_vehicle(), Plane())
     assert np.unique(np.abs(truth["yaw_rad"]).round(6)).tolist() == pytest.approx([0.0, np.pi], abs=1e-5)
     assert np.all(np.diff(truth["time_s"]) > 0)
-    assert np.diff(truth["time_s"]).max() * craft().speed_mps == pytest.approx(40 * np.pi / 2, rel=0.1)  # a turn
+    assert np.diff(truth["time_s"]).max() * quiet_vehicle().speed_mps == pytest.approx(
+        40 * np.pi / 2, rel=0.1
+    )  # a turn
 
 
 def test_noise_grows_outwards_and_not_with_altitude():
     spread = {}
     for altitude in (30.0, 60.0):
-        raw, _ = sail(chosen(altitude_m=altitude), craft(noise_m=0.1, noise_growth=2.0), Plane(90.0))
+        raw, _ = sail(short_line(altitude_m=altitude), quiet_vehicle(noise_m=0.1, noise_growth=2.0), Plane(90.0))
         off = raw["down_m"] - altitude
         outer = np.abs(raw["across_m"]) > 0.9 * np.abs(raw["across_m"]).max()
         inner = np.abs(raw["across_m"]) < 0.1 * np.abs(raw["across_m"]).max()
@@ -165,8 +131,8 @@ def test_noise_grows_outwards_and_not_with_altitude():
 
 
 def test_dropouts_and_outliers_have_their_shares():
-    full, _ = sail(chosen(), craft(), Plane())
-    raw, _ = sail(chosen(), craft(dropouts=0.2, outliers=0.1, outlier_m=3.0, flagged=0.5), Plane())
+    full, _ = sail(short_line(), quiet_vehicle(), Plane())
+    raw, _ = sail(short_line(), quiet_vehicle(dropouts=0.2, outliers=0.1, outlier_m=3.0, flagged=0.5), Plane())
     assert len(raw) == pytest.approx(0.8 * len(full), rel=0.03)
     assert (raw["quality"] == 1).mean() == pytest.approx(0.05, rel=0.25)
     assert full["quality"].max() == 0
@@ -206,11 +172,11 @@ def test_a_sonar_has_no_more_beams_than_it_has():
 
 def test_a_vehicle_does_not_fly_above_the_surface():
     with pytest.raises(vehicle.VehicleError, match="above the surface"):
-        sail(chosen(altitude_m=30.0), craft(), Plane(20.0))
+        sail(short_line(altitude_m=30.0), quiet_vehicle(), Plane(20.0))
 
 
 def test_a_patch_has_the_points_asked_for_and_is_centred():
-    cloud = simulation.patch(chosen().terrain, 1234, 3.2, np.random.default_rng(0))
+    cloud = simulation.patch(short_line().terrain, 1234, 3.2, np.random.default_rng(0))
     assert cloud.shape == (1234, 3)
     assert cloud.mean(axis=0) == pytest.approx(0, abs=1e-9)
     length, width = np.ptp(cloud[:, :2], axis=0)
@@ -251,21 +217,21 @@ def test_a_survey_over_a_grid_lies_in_its_valid_area(tmp_path: Path):
     z = np.full((200, 300), -60.0)
     z[:, :120] = -9999.0  # the western part is unknown
     path = geotiff(tmp_path / "half.tif", z)
-    how = chosen(grid=str(path), centre_m=[], layout=dataclasses.replace(chosen().layout, azimuth_deg=30.0))
-    raw, _ = sail(how, craft(), simulation.ground(how))
+    how = short_line(grid=str(path), centre_m=[], layout=dataclasses.replace(short_line().layout, azimuth_deg=30.0))
+    raw, _ = sail(how, quiet_vehicle(), simulation.ground(how))
     placed = georeferenced(raw)
     assert placed[:, 0].min() > 1000 + 240
-    assert len(raw) == len(sail(how, craft(), Plane(60.0))[0])  # no beam fell off the edge
+    assert len(raw) == len(sail(how, quiet_vehicle(), Plane(60.0))[0])  # no beam fell off the edge
 
 
 def test_a_survey_that_does_not_fit_is_refused_in_one_sentence(tmp_path: Path):
-    how = chosen(
+    how = short_line(
         grid=str(plane_grid(tmp_path / "plane.tif")),
         centre_m=[],
-        layout=dataclasses.replace(chosen().layout, line_length_m=2000.0),
+        layout=dataclasses.replace(short_line().layout, line_length_m=2000.0),
     )
     with pytest.raises(grid.GridError, match="has no room for a survey of"):
-        sail(how, craft(), simulation.ground(how))
+        sail(how, quiet_vehicle(), simulation.ground(how))
 
 
 @pytest.mark.parametrize("content", [b"this is not a grid", b"II*\0" + bytes(200), bytes(10)])
@@ -283,16 +249,16 @@ def test_a_grid_in_degrees_is_refused(tmp_path: Path):
 
 def test_a_grid_that_is_not_there_is_named():
     with pytest.raises(PointNetKLError, match=r"nowhere\.tif"):
-        simulation.ground(chosen(grid="nowhere.tif"))
+        simulation.ground(short_line(grid="nowhere.tif"))
 
 
 @pytest.mark.skipif(not SCITUATE.exists(), reason="real data are not here")
 def test_a_survey_over_a_real_grid_has_its_depths():
-    layout = dataclasses.replace(chosen().layout, lines=2, line_length_m=200.0, azimuth_deg=20.0)
-    how = chosen(grid=str(SCITUATE), centre_m=[], altitude_m=5.0, layout=layout)
+    layout = dataclasses.replace(short_line().layout, lines=2, line_length_m=200.0, azimuth_deg=20.0)
+    how = short_line(grid=str(SCITUATE), centre_m=[], altitude_m=5.0, layout=layout)
     found = simulation.ground(how)
     assert found.crs == "EPSG:32619"
-    placed = georeferenced(sail(how, craft(), found)[0])
+    placed = georeferenced(sail(how, quiet_vehicle(), found)[0])
     assert placed[:, 2] == pytest.approx(found(placed[:, 0], placed[:, 1]), abs=0.1)
     assert placed[:, 2].min() > -30
     assert placed[:, 2].max() < -6
@@ -306,11 +272,11 @@ def test_a_sunken_grid_lies_so_much_deeper_and_is_else_the_same(tmp_path: Path):
 
 def test_a_survey_over_a_grid_may_say_where_its_middle_is(tmp_path: Path):
     path = str(plane_grid(tmp_path / "plane.tif"))
-    found = simulation.ground(chosen(grid=path, centre_m=[1250.0, 2200.0]))
+    found = simulation.ground(short_line(grid=path, centre_m=[1250.0, 2200.0]))
     assert found.place(200.0, 100.0, 0.3) == (1250.0, 2200.0)
     with pytest.raises(
         grid.GridError, match="has no depth under a part of a survey of 200 m by 100 m about 1050, 2200"
     ):
-        simulation.ground(chosen(grid=path, centre_m=[1050.0, 2200.0])).place(200.0, 100.0, 0.3)
+        simulation.ground(short_line(grid=path, centre_m=[1050.0, 2200.0])).place(200.0, 100.0, 0.3)
     with pytest.raises(simulation.SimulationError, match=r"must be \[easting, northing\]"):
-        simulation.ground(chosen(grid=path, centre_m=[1050.0]))
+        simulation.ground(short_line(grid=path, centre_m=[1050.0]))

@@ -13,7 +13,6 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from test_dataset import write
 
 from pointnetkl import training
 from pointnetkl.models import cholesky, model_file
@@ -27,6 +26,7 @@ from pointnetkl.surveys.submap import Submap
 from pointnetkl.training import checkpoint, device
 from pointnetkl.workflow import parameters
 from toy_labels import until
+from training_surveys import write
 
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
