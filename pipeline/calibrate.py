@@ -16,7 +16,7 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read the graph and its submaps; write a row per registration, and a table of covariances."""
+    """Read the graph and its submaps; write the errors of its registrations, and a table of covariances."""
     name = arguments.survey
     settings = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
     graph_settings = parameters.read(arguments.params, "graph", loop_closure.Settings)

@@ -1,4 +1,4 @@
-"""Optimise a survey's corrupted graphs with every method's covariances, many times."""
+"""Optimise a survey's corrupted graphs many times, with the covariances of every method."""
 
 import argparse
 import sys
@@ -62,9 +62,8 @@ def run_benchmark(
     map_errors = {"map_to_map_m": measure, "map_to_map_auvlib_m": MapToMapAuvlib(clouds, settings.seed)}
     rows, trajectories = slam_benchmark.benchmark(graph, methods, map_errors, settings)
     cells = consistency_map.cells_by_trajectory(trajectories, measure.cells)
-    return Results(
-        rows, trajectories, cells, map_to_map.thinning_table(graph.survey, clouds, graph.gt, settings.map_cell_m)
-    )
+    thinned = map_to_map.thinning_table(graph.survey, clouds, graph.gt, settings.map_cell_m)
+    return Results(rows, trajectories, cells, thinned)
 
 
 def without_track() -> Results:

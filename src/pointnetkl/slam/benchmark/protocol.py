@@ -40,15 +40,15 @@ class Settings:
         ValueError: a setting is out of its range.
     """
 
-    seed: int
-    repetitions: int
-    draw_repetitions: int
-    yaw_sigma_rad: float
-    edges: str
-    floor_m2: float
-    map_to_map_repetitions: int
+    seed: int  # of the yaw noise
+    repetitions: int  # noise draws on the first draw of the loop closures
+    draw_repetitions: int  # and on each of the others
+    yaw_sigma_rad: float  # of each edge of dead reckoning
+    edges: str  # all: a registration counts once for each of its edges; shared: it counts once
+    floor_m2: float  # added to the variances of every Q
+    map_to_map_repetitions: int  # repetitions whose map is measured, from the first
     map_cell_m: float
-    map_thinning: int
+    map_thinning: int  # every so many-th point asks
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their range, and unknown ways to count edges."""

@@ -25,17 +25,21 @@ class LoopClosureError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Settings:
-    """Section `graph` of the parameters."""
+    """Section `graph` of the parameters.
 
-    seed: int
-    draws: int
-    coverage: float
-    prior_variance_m2: float
-    cell_factor: float
-    overlap_factor: float | None
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+
+    seed: int  # of the perturbations
+    draws: int  # of the loop closures
+    coverage: float  # share of a submap's footprint that an earlier one must cover to close a loop
+    prior_variance_m2: float  # a of the perturbations' N(0, a I)
+    cell_factor: float  # size of a footprint's cells, in point spacings
+    overlap_factor: float | None  # reach of the ground around a target's points, in point spacings; None: no limit
     dead_reckoning: DeadReckoningNoise
     loop_closure: ClosureNoise
-    prior_yaw_sigma_rad: float = 0.03
+    prior_yaw_sigma_rad: float = 0.03  # of the perturbations' yaw, where registrations find yaw
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their range."""

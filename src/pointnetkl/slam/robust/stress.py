@@ -38,11 +38,11 @@ class Settings:
         ValueError: a setting is out of its range.
     """
 
-    seed: int
+    seed: int  # of the yaw noise and the false closures
     methods: list[str]
-    shares: list[float]
+    shares: list[float]  # of false loop closures among all, in rising order
     repetitions: int
-    corrupted_repetitions: int
+    corrupted_repetitions: int  # repetitions in which every kernel starts from the corrupted poses too
     thresholds: Thresholds
 
     def __post_init__(self) -> None:
