@@ -1,4 +1,4 @@
-"""Sail a simulated survey: raw pings as a sonar would log them, a file a line, and the true trajectory."""
+"""Simulate a survey: raw pings as a sonar would log them, a file for each line, and the true trajectory."""
 
 import argparse
 from pathlib import Path
@@ -12,16 +12,16 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Write one Parquet file a line and the truth."""
-    chosen = parameters.read(arguments.params, f"simulate.{arguments.survey}", simulation.Settings)
-    craft = parameters.read(arguments.params, f"vehicles.{chosen.vehicle}", vehicle.Settings)
-    terrain = simulation.ground(chosen)
-    metadata = {"survey": arguments.survey, "simulate": parameters.as_metadata(chosen)}
-    metadata["vehicle"] = parameters.as_metadata(craft)
-    for stale in arguments.raw.glob("line_*.parquet"):  # of an earlier run with more lines
+    """Write one Parquet file for each line, and the truth."""
+    settings = parameters.read(arguments.params, f"simulate.{arguments.survey}", simulation.Settings)
+    vehicle_settings = parameters.read(arguments.params, f"vehicles.{settings.vehicle}", vehicle.Settings)
+    terrain = simulation.ground(settings)
+    metadata = {"survey": arguments.survey, "simulate": parameters.as_metadata(settings)}
+    metadata["vehicle"] = parameters.as_metadata(vehicle_settings)
+    for stale in arguments.raw.glob("line_*.parquet"):  # files of an earlier run with more lines
         stale.unlink()
     truth = []
-    for number, line in enumerate(simulation.survey(chosen, craft, terrain)):
+    for number, line in enumerate(simulation.survey(settings, vehicle_settings, terrain)):
         path = arguments.raw / f"line_{number:03d}.parquet"
         artifacts.write_table(path, line.raw, simulation.RAW, metadata, crs=terrain.crs)
         truth.append(line.truth)

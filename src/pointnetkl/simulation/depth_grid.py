@@ -1,4 +1,4 @@
-"""Real grids of depths in files, GeoTIFF or BAG: what they hold, and their heights, without trusting their heads."""
+"""Grids of depths in GeoTIFF or BAG files: their description and their heights, checked against damage."""
 
 import warnings
 from collections.abc import Iterator
@@ -16,9 +16,9 @@ SUFFIXES = (".tif", ".tiff", ".bag")
 _DRIVERS = {b"II*\0": "GTiff", b"MM\0*": "GTiff", b"II+\0": "GTiff", b"MM\0+": "GTiff", b"\x89HDF": "BAG"}
 _DEEPEST_M = 12_000.0
 _FEET = ("ft", "foot", "feet", "us survey foot", "us-ft")
-_LARGEST_BLOCK = 1 << 26  # cells that the library must hold at once
-_DRYING = 0.05  # of a grid of depths, most that is ground above the datum, whose depth is below zero
-_STRIPE = 1 << 22  # cells that are looked at at once
+_LARGEST_BLOCK = 1 << 26  # cells that GDAL must hold at once
+_DRYING = 0.05  # greatest share of a grid of depths that is above the datum, with depths below zero
+_STRIPE = 1 << 22  # cells that are read at once
 
 
 class GridError(PointNetKLError):
@@ -27,7 +27,7 @@ class GridError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Description:
-    """What a grid holds."""
+    """Description of a grid."""
 
     format: str  # GeoTIFF or BAG
     rows: int
@@ -38,12 +38,12 @@ class Description:
     depth_min_m: float  # NaN where no cell has one
     depth_max_m: float
     down: bool  # whether its numbers are depths
-    vertical: str  # which way its numbers count, and by what that is known
-    variable: bool  # a BAG whose cells hold grids of their own, of which only the coarse ones are told here
+    vertical: str  # the sense of its numbers, and the reason to think so
+    variable: bool  # a BAG whose cells hold grids of their own; the description is of the coarse grid
 
 
 def begins(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a TIFF, or of the container of a BAG."""
+    """Return whether the first bytes of a file are those of a TIFF, or of HDF5, the container of a BAG."""
     return head[:4] in _DRIVERS
 
 
@@ -52,16 +52,16 @@ def opened(path: Path) -> Iterator[Any]:
     """Open a grid for reading.
 
     Raises:
-        GridError: the file is neither GeoTIFF nor BAG, or is damaged; also for what fails while it is open.
+        GridError: the file is neither GeoTIFF nor BAG, or is damaged, or reading it fails while it is open.
     """
-    import rasterio  # slow to import, and most surveys have no grid
+    import rasterio  # imported here, because it is slow to import and most surveys have no grid
 
     try:
         with path.open("rb") as file:
             driver = _DRIVERS.get(file.read(4))
         if driver is None:
             raise GridError(f"{path}: is not a GeoTIFF or BAG that can be read (by its first bytes it is another file)")
-        # of what it warns, the checks tell
+        # GDAL's warnings are ignored, because our checks find the same faults
         with (
             warnings.catch_warnings(action="ignore"),
             rasterio.Env(GTIFF_REPORT_COMPD_CS=True),  # the vertical CRS as well
@@ -73,13 +73,13 @@ def opened(path: Path) -> Iterator[Any]:
             yield dataset
     except GridError:
         raise
-    except Exception as error:  # of GDAL, HDF5 and PROJ, each in its own ways
+    except Exception as error:  # GDAL, HDF5 and PROJ raise errors of many kinds
         reason = " ".join(str(error).split())[:120]
         raise GridError(f"{path}: is not a GeoTIFF or BAG that can be read ({reason})") from error
 
 
 def heights(path: Path, dataset: Any, window: Any = None) -> np.ndarray:
-    """Return z (rows, columns) in metres, float64, NaN where there is none; up or down as the file has it.
+    """Return z (rows, columns) in metres, float64, NaN where there is none; positive up or down as in the file.
 
     Raises:
         GridError: heights are in feet, or lie beyond any sea, so that they are damaged or not in metres.
@@ -94,9 +94,9 @@ def heights(path: Path, dataset: Any, window: Any = None) -> np.ndarray:
     scale, offset = dataset.scales[0], dataset.offsets[0]
     if (scale, offset) != (1.0, 0.0):
         z = z * scale + offset
-    if lost := int(np.sum(np.abs(z) > _DEEPEST_M)):
+    if wrong := int(np.sum(np.abs(z) > _DEEPEST_M)):
         raise GridError(
-            f"{path}: {lost} of its cells are beyond 12 km, such as {z[np.abs(z) > _DEEPEST_M][0]:.6g}: they are"
+            f"{path}: {wrong} of its cells are beyond 12 km, such as {z[np.abs(z) > _DEEPEST_M][0]:.6g}: they are"
             " damaged, not in metres, or mark what has no depth; set that value as nodata"
         )
     return np.asarray(z)
@@ -108,16 +108,16 @@ def level_crs(dataset: Any) -> Any:
 
     if dataset.crs is None:
         return None
-    found = CRS.from_wkt(dataset.crs.to_wkt())
-    crs = found.source_crs if found.is_bound and found.source_crs else found
+    stored = CRS.from_wkt(dataset.crs.to_wkt())
+    crs = stored.source_crs if stored.is_bound and stored.source_crs else stored
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
 def sense(dataset: Any, below: int, valid: int) -> tuple[bool, str]:
-    """Return whether a grid's numbers are depths, positive down, and by what that is known, in words.
+    """Return whether a grid's numbers are depths, positive down, and the reason in words.
 
-    A BAG has heights. Where no vertical CRS of another grid tells, its numbers are depths if hardly any of the `valid`
-    ones are `below` zero: land and sea together are heights, however much of it is land.
+    A BAG has heights. Another grid without a vertical CRS has depths if hardly any of its `valid` numbers are `below`
+    zero; land and sea together are heights, whatever the share of land.
     """
     from pyproj import CRS
 
@@ -129,9 +129,9 @@ def sense(dataset: Any, below: int, valid: int) -> tuple[bool, str]:
     if axis is not None:
         return axis.direction.lower() == "down", name
     share = below / max(valid, 1)
-    which = "depth" if share < _DRYING else "height"
+    quantity = "depth" if share < _DRYING else "height"
     reason = f"because {100 * share:.3g} % of its numbers are below zero"
-    return which == "depth", f"taken as {which}, {reason}; its datum is not stated"
+    return quantity == "depth", f"taken as {quantity}, {reason}; its datum is not stated"
 
 
 def crs_name(dataset: Any) -> str:
@@ -142,12 +142,12 @@ def crs_name(dataset: Any) -> str:
 
 
 def is_variable(dataset: Any) -> bool:
-    """Whether a BAG has cells with grids of their own."""
+    """Return whether the cells of a BAG hold grids of their own."""
     return dataset.tags().get("HAS_SUPERGRIDS", "FALSE").upper() == "TRUE"
 
 
 def describe(path: Path) -> Description:
-    """Return what a grid holds, of which never more than a stripe is in memory.
+    """Return the description of a grid; only a stripe of it is in memory at a time.
 
     Raises:
         GridError: the file is neither GeoTIFF nor BAG, or is damaged.

@@ -1,4 +1,4 @@
-"""A seabed from a real grid: a GeoTIFF or BAG of depths, with stated roughness below its cell."""
+"""A seabed from a real grid, a GeoTIFF or BAG of depths, with added roughness below the size of its cells."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from scipy import ndimage, signal
 from pointnetkl.simulation import depth_grid, noise
 from pointnetkl.simulation.depth_grid import GridError
 
-_MOST_CELLS = 1 << 24  # that are read: of more, those about the middle of the survey
+_MOST_CELLS = 1 << 24  # that are read; of a larger grid those about the survey's centre
 
 
 @dataclass(frozen=True)
@@ -25,25 +25,25 @@ class Grid:
     cell: tuple[float, float]  # its size in x and in y, metres; y negative in a raster whose first row is north
     roughness_m: float
     seed: int
-    centre: tuple[float, float] | None  # of every survey of it; None: where it fits best
+    centre: tuple[float, float] | None  # of the survey; None: the most central place with room
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return z (n,) metres at projected coordinates x, y (n,); NaN where the grid has no depth."""
         row = (y - self.corner[1]) / self.cell[1] - 0.5
         column = (x - self.corner[0]) / self.cell[0] - 0.5
         z = ndimage.map_coordinates(self.spline, [row, column], order=3, prefilter=False, mode="mirror")
-        known = ndimage.map_coordinates(self.valid.astype(np.uint8), [row, column], order=0, mode="constant")
+        valid = ndimage.map_coordinates(self.valid.astype(np.uint8), [row, column], order=0, mode="constant")
         if self.roughness_m > 0:
-            # what the grid averaged away: two octaves shorter than twice its cell
+            # the roughness that the grid averaged away: two octaves shorter than twice its cell
             size = abs(self.cell[0])
             z = z + self.roughness_m * noise.field(x - self.corner[0], y - self.corner[1], self.seed, size, 2)
-        return np.where(known > 0, z, np.nan)
+        return np.where(valid > 0, z, np.nan)
 
     def place(self, length_m: float, width_m: float, azimuth_rad: float) -> tuple[float, float]:
-        """Return the centre of a survey of this size that lies wholly in the valid area, as central as can be.
+        """Return the centre of a survey of this size that lies within the valid area, as central as possible.
 
         Raises:
-            GridError: there is no such place, or the chosen centre is none.
+            GridError: there is no such place, or the centre of the settings is none.
         """
         if self.centre is not None:
             return self._checked(self.centre, length_m, width_m, azimuth_rad)
@@ -88,13 +88,13 @@ def read(
     sunk_m: float = 0.0,
     centre: tuple[float, float] | None = None,
 ) -> Grid:
-    """Read a GeoTIFF or BAG of heights in metres, up, and sink it by `sunk_m`; depths (`raster.sense`) are turned over.
+    """Read a GeoTIFF or BAG of heights in metres, lowered by `sunk_m`; depths (`depth_grid.sense`) change their sign.
 
     Of a grid of more than 16.7 million cells those about the centre are read.
 
     Raises:
-        GridError: the file is neither, or is not a north-up grid in a projected CRS in metres; or it is too large, and
-            there is no centre.
+        GridError: the file is neither, or not a north-up grid in a projected CRS in metres; or it is too large to read
+            without a centre.
     """
     with depth_grid.opened(path) as dataset:
         _check(path, dataset)
@@ -123,8 +123,8 @@ def read(
 def _check(path: Path, dataset: Any) -> None:
     crs, transform = depth_grid.level_crs(dataset), dataset.transform
     if crs is None or not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
-        told = crs.name if crs else None
-        raise GridError(f"{path}: its CRS is {told}, must be projected, in metres; reproject it, for example to UTM")
+        name = crs.name if crs else None
+        raise GridError(f"{path}: its CRS is {name}, must be projected, in metres; reproject it, for example to UTM")
     if transform.b or transform.d:
         raise GridError(f"{path}: is rotated; resample it to a north-up grid")
     if not (np.isfinite(transform[:6]).all() and 0 < abs(transform.a) < 1e5 and 0 < abs(transform.e) < 1e5):
@@ -137,7 +137,7 @@ def _check(path: Path, dataset: Any) -> None:
 
 
 def _window(path: Path, dataset: Any, centre: tuple[float, float] | None) -> Any:
-    """Return the part of a grid to read; None for all of it."""
+    """Return the window of a grid to read; None for the whole grid."""
     if dataset.width * dataset.height <= _MOST_CELLS:
         return None
     if centre is None:
@@ -152,22 +152,22 @@ def _window(path: Path, dataset: Any, centre: tuple[float, float] | None) -> Any
     column, row = (centre[0] - transform.c) / transform.a, (centre[1] - transform.f) / transform.e
     if not (0 <= column < dataset.width and 0 <= row < dataset.height):
         raise GridError(f"{path}: centre_m {centre[0]:.0f}, {centre[1]:.0f} lies outside it")
-    # a grid may be narrow, and then is read farther along
+    # a narrow grid is read over a longer stretch
     width = min(dataset.width, max(edge, _MOST_CELLS // dataset.height))
     height = min(dataset.height, _MOST_CELLS // width)
-    left = min(max(0, int(column) - width // 2), dataset.width - width)
-    top = min(max(0, int(row) - height // 2), dataset.height - height)
-    return Window(left, top, width, height)
+    first_column = min(max(0, int(column) - width // 2), dataset.width - width)
+    first_row = min(max(0, int(row) - height // 2), dataset.height - height)
+    return Window(first_column, first_row, width, height)
 
 
 def _filled(z: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the grid with holes filled from the nearest depth: a spline must not see NaN."""
+    """Return the grid with holes filled from the nearest depth, because splines do not allow NaN."""
     nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
     return np.asarray(z[tuple(nearest)])
 
 
 def _rectangle(length_m: float, width_m: float, azimuth_rad: float, cell: tuple[float, float]) -> np.ndarray:
-    """Return the cells that a turned rectangle covers, with one cell around it, as 0 and 1."""
+    """Return the cells that a rotated rectangle covers, with one cell around it, as 0 and 1."""
     c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
     margin = max(abs(cell[0]), abs(cell[1]))
     a, b = length_m / 2 + margin, width_m / 2 + margin

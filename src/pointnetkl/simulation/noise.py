@@ -1,8 +1,9 @@
-"""Random fields over the whole plane: gradient noise on hashed lattices, the same at a point however much is asked.
+"""Random fields over the plane by gradient noise on hashed lattices.
 
-Each octave is a lattice whose every node holds a random slope, drawn by hashing the node's indices and the seed;
-between nodes the slopes are blended so that the field and its first two derivatives are continuous. A sum of
-octaves with different lattices and directions is close to Gaussian.
+A value depends on the point and the seed alone, not on the other points asked for. Each octave is a lattice whose nodes
+hold random slopes, drawn by hashing the node's indices and the seed. Between nodes the slopes are blended so that the
+field and its first two derivatives are continuous. A sum of octaves with different lattices and directions is close to
+Gaussian.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 _SLOPES = 256  # directions that a node may take
 _UNIT_STD = 0.2156  # of one octave whose nodes have slopes of length 1, by integration over 2 million points
 _UNIT_SLOPE = 0.6247  # its rms slope, in any one direction, per lattice step
-_TURN = 2.399963  # golden angle: no two octaves of a field share a lattice direction
+_TURN = 2.399963  # golden angle, so that no two octaves of a field share a lattice direction
 _ANGLES = np.arange(_SLOPES) * (2 * np.pi / _SLOPES)
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 
@@ -37,7 +38,7 @@ def slope(length_m: float, octaves: int = 1, gain: float = 0.5) -> float:
 
 
 def stretched(x: np.ndarray, y: np.ndarray, stretch: float, azimuth_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates in which an isotropic field is drawn out `stretch` times along an azimuth.
+    """Return coordinates in which an isotropic field becomes `stretch` times as long along an azimuth.
 
     The azimuth is counter-clockwise from x; lengths across it are kept.
     """
@@ -46,7 +47,7 @@ def stretched(x: np.ndarray, y: np.ndarray, stretch: float, azimuth_rad: float) 
 
 
 def share(values: np.ndarray) -> np.ndarray:
-    """Turn a field of unit variance into ranks: the share of the plane that lies below, from 0 to 1."""
+    """Return the ranks of a field of unit variance: the share of the plane that lies lower, from 0 to 1."""
     return np.asarray(1.0 / (1.0 + np.exp(-1.702 * values)))  # the logistic nearest to the normal's integral
 
 
@@ -55,7 +56,7 @@ def _hashed(i: int, j: int, seed: int) -> np.uint64:
     # 32 well-mixed bits of two whole numbers and a seed
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
     h += np.uint64(seed) * np.uint64(0xD6E8FEB86659FD93)
-    # two rounds of fold and multiply: with one, neighbouring nodes are visibly alike
+    # two rounds of fold and multiply, because after one round neighbouring nodes are visibly alike
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0x9E3779B97F4A7C15)
     return h >> np.uint64(32)

@@ -1,7 +1,8 @@
-"""A seabed that is drawn, not surveyed: depth anywhere in the plane, from a seed and a few lengths and slopes.
+"""A random seabed: depth anywhere in the plane, from a seed and a few lengths and slopes.
 
-Terrain is patchy, because a seabed is: one ruggedness, from sediment basins to bare rock, sets how steep every field
-is at a place, on a logarithmic scale. Ground that is rough at the scale of metres is so at that of a submap too.
+The terrain is patchy, as real seabeds are. One ruggedness, from sediment basins to bare rock, sets the steepness of
+every field at a place, on a logarithmic scale. So ground that is rough at the scale of metres is also rough at the
+scale of a submap.
 """
 
 from collections.abc import Iterator
@@ -15,11 +16,11 @@ from pointnetkl.workflow import parameters
 
 
 class Seabed(Protocol):
-    """Depth at any point, and where a survey of it may be placed."""
+    """Depth at any point, and a place for a survey."""
 
     @property
     def crs(self) -> str:
-        """The coordinates that it is asked in."""
+        """The CRS of its coordinates."""
         ...
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -33,7 +34,7 @@ class Seabed(Protocol):
 
 @dataclass(frozen=True)
 class Field:
-    """A random field, as steep as the place is rugged."""
+    """A random field whose steepness follows the ruggedness of the place."""
 
     slope: list[float]  # rms slope across the grain where the ground is least and most rugged
     length_m: float  # from a hill to the next hollow, coarsest octave
@@ -42,7 +43,7 @@ class Field:
     azimuth_deg: float = 0.0  # of the grain, counter-clockwise from east
 
     def __post_init__(self) -> None:
-        """Refuse a range of slopes that is none.
+        """Refuse slopes that are no range.
 
         Raises:
             ValueError: the slopes are not two positive numbers in rising order, or a length is not positive.
@@ -54,7 +55,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Relief:
-    """Basins and plateaus with slopes between them: most of a seabed's height stands on little of its ground."""
+    """Basins and plateaus with slopes between them, because little of a seabed has most of its height."""
 
     height_m: float  # of the plateaus above the basins
     length_m: float  # from a basin to the next plateau
@@ -63,7 +64,7 @@ class Relief:
     azimuth_deg: float  # of the grain, counter-clockwise from east
 
     def __post_init__(self) -> None:
-        """Refuse a share that is none.
+        """Refuse a share outside 0 to 1.
 
         Raises:
             ValueError: the flat share is not between 0 and 1, or a length is not positive.
@@ -86,7 +87,7 @@ class Ripples:
 
 @dataclass(frozen=True)
 class Outcrops:
-    """Rock that stands out of the sediment, in groups."""
+    """Groups of rocks that stand out of the sediment."""
 
     height_m: float
     size_m: float
@@ -96,7 +97,7 @@ class Outcrops:
 
 @dataclass(frozen=True)
 class Ploughmarks:
-    """Furrows that icebergs' keels left: long, curved, with berms, in two crossing families."""
+    """Furrows of icebergs' keels: long, curved, with berms, in two crossing families."""
 
     depth_m: float
     width_m: float
@@ -107,7 +108,7 @@ class Ploughmarks:
 
 @dataclass(frozen=True)
 class Wall:
-    """One fjord wall, wandering about a straight line through the survey."""
+    """A fjord wall along a winding line through the survey."""
 
     height_m: float
     width_m: float  # from its foot to its top
@@ -117,13 +118,13 @@ class Wall:
 
 @dataclass(frozen=True)
 class Settings:
-    """One place's terrain; what is None does not occur there."""
+    """The terrain of one place; features that are None do not occur there."""
 
     depth_m: float
     patch_m: float  # from rugged ground to smooth
     relief: Relief
     hills: Field  # hundreds of metres
-    texture: Field  # what registration holds on to: tens of metres and less
+    texture: Field  # tens of metres and less, which registration depends on
     ridges: Field | None = None
     ripples: Ripples | None = None
     outcrops: Outcrops | None = None
@@ -133,7 +134,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Random:
-    """A seabed drawn from a seed; it has no edge, and does not know how much of it is asked for."""
+    """A seabed drawn from a seed, without an edge."""
 
     settings: Settings
     seed: int
@@ -145,7 +146,7 @@ class Random:
         return heights(self.settings, self.seed, x - self.centre[0], y - self.centre[1])
 
     def place(self, length_m: float, width_m: float, azimuth_rad: float) -> tuple[float, float]:
-        """Return the centre: a seabed without an edge has room for a survey of any size."""
+        """Return the centre, because a seabed without an edge has room for a survey of any size."""
         return self.centre
 
 
@@ -158,8 +159,8 @@ def heights(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> np.nd
 
 
 def features(terrain: Settings, seed: int, x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield what each feature of a terrain adds to z, (n,) metres, by its name in the settings."""
-    # a seed for each feature, so that adding one leaves the others where they were
+    """Yield each feature's contribution to z, (n,) metres, with its name in the settings."""
+    # a seed for each feature, so that a new feature leaves the others as they are
     yield "relief", _relief(terrain.relief, seed * 64 + 12, x, y)
     rugged = _ruggedness(terrain.patch_m, seed * 64 + 40, x, y)
     for number, name in enumerate(("hills", "texture", "ridges")):
@@ -183,7 +184,7 @@ def _relief(relief: Relief, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 def _ruggedness(patch_m: float, seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    # smoothed twice: most ground is either sediment or rock, and little lies between
+    # smoothed twice, because most ground is either sediment or rock, and little is in between
     return _smooth(_smooth(noise.share(noise.field(x, y, seed, patch_m, 2))))
 
 

@@ -1,4 +1,4 @@
-"""A multibeam echo sounder: beams cast onto the seabed, and what the sonar makes of them."""
+"""A multibeam echo sounder: it casts beams onto the seabed and logs soundings with noise, dropouts and outliers."""
 
 from dataclasses import dataclass
 
@@ -9,30 +9,30 @@ from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _ITERATIONS = 10
-_HIT_M = 0.01  # a beam has hit when it ends this near to the seabed
-_LEAST_DESCENT = 0.02  # towards the ground, per metre of beam: below it a step goes as far as the beam may
+_HIT_M = 0.01  # a beam that ends this near the seabed has hit it
+_LEAST_DESCENT = 0.02  # towards the ground, per metre of beam; it bounds the steps of the search
 
 
 class SonarError(PointNetKLError):
-    """The sonar cannot ping as asked."""
+    """The sonar does not have the beams that its settings ask for."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """One multibeam sonar, its beams equally far apart on flat ground."""
+    """One multibeam sonar with beams at equal distances on flat ground."""
 
     sector_deg: float  # from the outermost beam to port to that to starboard
     beams: int  # the most that it can form
     noise_m: float  # standard deviation of a range straight below
-    noise_growth: float  # how many times as much more at the sector's edge, with the square of the angle
+    noise_growth: float  # relative increase of the noise at the sector's edge; it grows with the angle squared
     range_limit: float  # in altitudes: no echo from farther away
     dropouts: float  # share of beams without a sounding
-    outliers: float  # share of soundings that are wrong
-    outlier_m: float  # standard deviation of their ranges' errors
-    flagged: float  # share of the wrong ones that the sonar rejects itself (quality 1)
+    outliers: float  # share of soundings with a gross error
+    outlier_m: float  # standard deviation of the gross errors of their ranges
+    flagged: float  # share of the outliers that the sonar itself rejects (quality 1)
 
     def __post_init__(self) -> None:
-        """Refuse what no sonar can be.
+        """Refuse settings that no sonar can have.
 
         Raises:
             ValueError: a number is out of its range.
@@ -44,7 +44,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Soundings:
-    """What a sonar logs; arrays (n,). Along, across, down: forward, starboard, downward of the levelled vehicle."""
+    """A sonar's log, arrays (n,); along, across, down: forward, starboard, downward of the levelled vehicle."""
 
     ping: np.ndarray  # row of the pings' poses
     beam: np.ndarray  # 0 is the outermost to port
@@ -58,7 +58,7 @@ def angles(altitude_m: float, beam_spacing_m: float, sonar: Settings) -> np.ndar
     """Return the beams' angles (k,) from straight down, radians, positive to starboard.
 
     Raises:
-        SonarError: the sonar has not as many beams.
+        SonarError: the sonar does not have so many beams.
     """
     edge = np.tan(np.deg2rad(sonar.sector_deg / 2))
     count = round(2 * altitude_m * edge / beam_spacing_m) + 1
@@ -84,7 +84,8 @@ def levelled(angle: np.ndarray, roll: np.ndarray, pitch: np.ndarray) -> np.ndarr
 def cast(seabed: Seabed, origins: np.ndarray, directions: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return ranges (n,) metres from origins (n, 3) along directions (n, 3), x, y, z, to the seabed.
 
-    NaN where a beam meets no seabed within its limit (n,) metres, or grazes it so that the search does not settle.
+    A range is NaN where the beam meets no seabed within its limit (n,) metres, or where it grazes the seabed and the
+    search does not converge.
     """
     ranges, active = np.full(len(origins), np.nan), np.arange(len(origins))
     gap_before = origins[:, 2] - seabed(origins[:, 0], origins[:, 1])
@@ -94,11 +95,11 @@ def cast(seabed: Seabed, origins: np.ndarray, directions: np.ndarray, limit: np.
         gap = end[:, 2] - seabed(end[:, 0], end[:, 1])
         hit = np.abs(gap) < _HIT_M
         ranges[active[hit]] = reach[hit]
-        # a secant step: fixed-point steps diverge where the ground falls away as steeply as the beam
+        # a secant step, because fixed-point steps diverge where the ground falls as steeply as the beam
         descent = np.maximum((gap_before - gap) / (reach - before), _LEAST_DESCENT)
         following = np.clip(reach + gap / descent, 0.0, limit[active])
-        on = ~hit & (following != reach)
-        gap_before, before, reach, active = gap[on], reach[on], following[on], active[on]
+        moving = ~hit & (following != reach)
+        gap_before, before, reach, active = gap[moving], reach[moving], following[moving], active[moving]
     return ranges
 
 
@@ -122,9 +123,9 @@ def ping(
     ranges = cast(seabed, origins, beams, np.full(len(origins), sonar.range_limit * altitude_m))
     edge = np.tile(angle / np.abs(angle).max(), len(position))
     ranges += sonar.noise_m * (1.0 + sonar.noise_growth * edge**2) * rng.normal(size=len(ranges))
-    wrong = rng.uniform(size=len(ranges)) < sonar.outliers
-    ranges += wrong * sonar.outlier_m * rng.normal(size=len(ranges))
-    quality = wrong & (rng.uniform(size=len(ranges)) < sonar.flagged)
+    outlier = rng.uniform(size=len(ranges)) < sonar.outliers
+    ranges += outlier * sonar.outlier_m * rng.normal(size=len(ranges))
+    quality = outlier & (rng.uniform(size=len(ranges)) < sonar.flagged)
     heard = np.isfinite(ranges) & (ranges > 0) & (rng.uniform(size=len(ranges)) >= sonar.dropouts)
     number, beam = np.divmod(np.flatnonzero(heard), len(angle))
     local = levelled(angle, *measured.T).reshape(-1, 3)[heard] * ranges[heard, None]

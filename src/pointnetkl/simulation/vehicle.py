@@ -1,4 +1,4 @@
-"""Where the vehicle goes, how it sways, and where it believes to be."""
+"""The vehicle: its track, its attitude, and the drift of its dead reckoning."""
 
 from dataclasses import dataclass
 
@@ -11,16 +11,16 @@ from pointnetkl.simulation.seabed import Seabed
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
-EPOCH_S = 1_600_000_000.0  # when every simulated survey starts: no clock is read
+EPOCH_S = 1_600_000_000.0  # start of every simulated survey, so that no clock is read
 
 
 class VehicleError(PointNetKLError):
-    """A survey cannot be sailed as asked."""
+    """A vehicle cannot run a survey as its settings ask."""
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """How the vehicle sways about its course, and how well it knows."""
+    """The vehicle's sway about its course, and the error of its attitude sensor."""
 
     roll_deg: float  # amplitude of the sway
     pitch_deg: float
@@ -32,7 +32,7 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Navigation:
-    """What makes dead reckoning drift: it starts at the truth and is never corrected."""
+    """Errors of dead reckoning, which starts at the truth and is never corrected."""
 
     scale_error: float  # of the Doppler log; standard deviation of one draw a survey
     heading_error_deg: float  # standard deviation of one draw a survey, and again of a slow walk about it
@@ -60,7 +60,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Layout:
-    """A lawnmower about the survey's centre."""
+    """A lawnmower pattern about the survey's centre."""
 
     lines: int
     line_length_m: float
@@ -115,7 +115,7 @@ def sail(
     seabed: Seabed,
     rng: np.random.Generator,
 ) -> Track:
-    """Return the true poses at the pings of `lines`; turns take their time but have no pings.
+    """Return the true poses at the pings of `lines`; turns take time but have no pings.
 
     Raises:
         VehicleError: the seabed is unknown under the track, or comes too near the surface to fly above it.
@@ -134,7 +134,7 @@ def sail(
 def dead_reckoned(
     track: Track, navigation: Navigation, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y (n,) metres and yaw (n,) radians as the vehicle reckons them: exact at the first ping."""
+    """Return x, y (n,) metres and yaw (n,) radians by dead reckoning, exact at the first ping."""
     step = np.diff(track.time_s, prepend=track.time_s[0])
     walk = np.stack([_walk(step, navigation.correlation_s, rng) for _ in range(3)])
     scale = 1.0 + navigation.scale_error * rng.normal()
@@ -149,24 +149,24 @@ def dead_reckoned(
 def _centre(
     track: np.ndarray, azimuth_deg: float, altitude_m: float, vehicle: Settings, seabed: Seabed
 ) -> tuple[float, float]:
-    """Return where the survey goes, with room for the swath on both sides."""
+    """Return the survey's centre, with room for the swath on both sides."""
     reach = 2 * altitude_m * np.tan(np.deg2rad(vehicle.sonar.sector_deg / 2))
     size = 2 * np.abs(track).max(axis=(0, 1)) + np.array([0.2 * reach, reach])
     return seabed.place(float(size[0]), float(size[1]), float(np.deg2rad(azimuth_deg)))
 
 
 def _waypoints(track: np.ndarray, spacing_m: float) -> tuple[np.ndarray, ...]:
-    """Return along, across, course, line and distance sailed (n,) of every ping."""
-    columns, sailed, before = [], 0.0, track[0, 0]
+    """Return along, across, course, line and distance covered (n,) of every ping."""
+    columns, covered, before = [], 0.0, track[0, 0]
     for number, (start, end) in enumerate(track):
-        # a half circle from line to line, and what is left of the way straight
-        sailed += float(np.abs(start - before) @ [1.0, np.pi / 2])
+        # from line to line a half circle, and the rest of the distance straight
+        covered += float(np.abs(start - before) @ [1.0, np.pi / 2])
         length = float(np.linalg.norm(end - start))
         step = np.arange(0.0, length, spacing_m)
         point = start + step[:, None] * (end - start) / length
         course = np.full(len(step), np.arctan2(end[1] - start[1], end[0] - start[0]))
-        columns.append((point[:, 0], point[:, 1], course, np.full(len(step), number), sailed + step))
-        sailed, before = sailed + length, end
+        columns.append((point[:, 0], point[:, 1], course, np.full(len(step), number), covered + step))
+        covered, before = covered + length, end
     return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
 
 
@@ -175,20 +175,20 @@ def _amplitudes(attitude: Attitude) -> np.ndarray:
 
 
 def _sway(time: np.ndarray, amplitude: float, period: float, rng: np.random.Generator) -> np.ndarray:
-    """Return an angle (n,) that swings with three periods near the given one."""
+    """Return an angle (n,) that swings with three periods near `period`."""
     phases, periods = rng.uniform(0, 2 * np.pi, 3), period * rng.uniform(0.7, 1.6, 3)
     waves = np.sin(2 * np.pi * time[:, None] / periods + phases)
     return np.asarray(amplitude * waves @ [0.6, 0.3, 0.1])
 
 
 def _follow(ground: np.ndarray, line: np.ndarray, altitude_m: float, spacing_m: float) -> np.ndarray:
-    """Return the vehicle's z (n,): its altitude above the ground, smoothed over about that length."""
+    """Return the vehicle's z (n,), at its altitude above the ground, which is smoothed over about the altitude."""
     if not np.isfinite(ground).all():
         raise VehicleError("the seabed is unknown under a part of the track; shorten the lines")
     z = np.empty(len(ground))
     for number in np.unique(line):
-        on = line == number
-        z[on] = altitude_m + ndimage.gaussian_filter1d(ground[on], altitude_m / spacing_m / 2, mode="nearest")
+        pings = line == number
+        z[pings] = altitude_m + ndimage.gaussian_filter1d(ground[pings], altitude_m / spacing_m / 2, mode="nearest")
     if z.max() > 0:
         raise VehicleError(
             f"at {altitude_m:.0f} m above the ground the vehicle would fly {z.max():.0f} m above the surface;"
