@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from pointnetkl.reporting import model_card, report, results
+from pointnetkl.reporting import model_card, page, report, results
 from pointnetkl.reporting.results import Folders
-from pointnetkl.workflow import artifacts, command, parameters, study
+from pointnetkl.workflow import artifacts, command, machine, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -15,6 +15,9 @@ def main(arguments: argparse.Namespace) -> None:
     made = report.make(folders, settings)
     for name, content in {**made.files, **model_card.files(folders)}.items():
         artifacts.write_bytes(arguments.reports / name, content)
+    artifacts.write_bytes(
+        arguments.reports / page.THIS_MACHINE, page.this_machine(machine.in_words(machine.describe()))
+    )
     print(*made.lines, sep="\n")
     print(f"The report: {arguments.reports / 'index.html'}")
 

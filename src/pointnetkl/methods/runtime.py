@@ -1,12 +1,10 @@
 """Seconds that a method takes for one submap, every preprocessing step included (Table III of the paper)."""
 
-import os
 import platform
 import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +12,11 @@ import numpy as np
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.surveys.submap import Submap
+from pointnetkl.workflow import machine as this_machine
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _SHORT_S, _ROUNDS = 0.1, 9
-_CPUINFO = Path("/proc/cpuinfo")
 
 
 class RuntimeMeasurementError(PointNetKLError):
@@ -82,16 +80,10 @@ def submap(points: np.ndarray, number: int) -> Submap:
 
 def machine() -> dict[str, Any]:
     """Return what the times depend on: processor, its cores, and Python's version."""
-    return {"cpu": _cpu(), "cores": os.cpu_count() or 1, "threads": 1, "python": platform.python_version()}
+    return {**this_machine.describe(), "threads": 1, "python": platform.python_version()}
 
 
 def _seconds(method: Method, submap: Submap) -> float:
     start = time.perf_counter()
     method.covariance(submap)
     return time.perf_counter() - start
-
-
-def _cpu() -> str:
-    lines = _CPUINFO.read_text().splitlines() if _CPUINFO.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()

@@ -1,13 +1,20 @@
-"""The report as one page: no file beside it, nothing from a network, readable on a phone."""
+"""The report as one page: it needs no file beside it and nothing from a network, and is readable on a phone.
+
+Its bytes do not depend on the machine that makes it. What does is in this_machine.js, which the page loads if it is
+there: on another machine than its times were measured on, the page says so.
+"""
 
 import base64
 import html
+import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.text_table import Block
 
+THIS_MACHINE = "this_machine.js"
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; }
@@ -28,6 +35,24 @@ figure { margin: 1rem 0; }
 figcaption { font-size: .9rem; color: #444; }
 nav a { margin-right: .9rem; }
 """
+_ELSEWHERE = """
+for (const note of document.querySelectorAll("[data-measured-on]")) {
+  const measuredOn = note.dataset.measuredOn;
+  if (typeof THIS_MACHINE === "undefined" || THIS_MACHINE === measuredOn) continue;
+  note.textContent = `This page was made on ${THIS_MACHINE}; ${note.dataset.times} was measured on ${measuredOn}:`
+    + " its seconds are not those of this machine.";
+  note.hidden = false;
+}
+"""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Where the times of a table were measured."""
+
+    times: str  # the table's name
+    machine: str
+    again: str  # how to measure them elsewhere
 
 
 @dataclass(frozen=True)
@@ -39,6 +64,7 @@ class Section:
     blocks: Sequence[Block] = ()
     figures: Mapping[str, str] = field(default_factory=dict)  # a figure's name, and its caption
     notes: Sequence[str] = ()
+    measured: Measured | None = None  # if the tables are of times
 
 
 def render(title: str, lead: Sequence[str], sections: Sequence[Section], images: Mapping[str, bytes]) -> str:
@@ -49,7 +75,8 @@ def render(title: str, lead: Sequence[str], sections: Sequence[Section], images:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{html.escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{html.escape(title)}</h1>\n{_paragraphs(lead)}\n<nav>{links}</nav>\n{body}\n</body>\n</html>\n"
+        f"<h1>{html.escape(title)}</h1>\n{_paragraphs(lead)}\n<nav>{links}</nav>\n{body}\n"
+        f'<script src="{THIS_MACHINE}"></script>\n<script>{_ELSEWHERE}</script>\n</body>\n</html>\n'
     )
 
 
@@ -59,10 +86,22 @@ def _section(anchor: str, section: Section, images: Mapping[str, bytes]) -> str:
         f'<h2 id="{anchor}">{html.escape(section.title)}</h2>',
         _paragraphs(section.paragraphs),
         text_table.to_html(section.blocks),
+        _measured(section.measured) if section.measured else "",
         figures,
-        "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in section.notes),
+        "\n".join(f'<p class="note">{_text(note)}</p>' for note in section.notes),
     )
     return "\n".join(part for part in parts if part)
+
+
+def this_machine(machine: str) -> bytes:
+    """Return the file THIS_MACHINE for a page that is made on this machine."""
+    return f"const THIS_MACHINE = {json.dumps(machine)};\n".encode()
+
+
+def _measured(measured: Measured) -> str:
+    said = _text(f"{measured.times} was measured on {measured.machine}. {measured.again}")
+    data = f'data-times="{html.escape(measured.times)}" data-measured-on="{html.escape(measured.machine)}"'
+    return f'<p>{said}</p>\n<p class="note" {data} hidden></p>'
 
 
 def _figure(png: bytes, caption: str) -> str:
@@ -73,4 +112,9 @@ def _figure(png: bytes, caption: str) -> str:
 
 
 def _paragraphs(texts: Sequence[str]) -> str:
-    return "\n".join(f"<p>{html.escape(text)}</p>" for text in texts)
+    return "\n".join(f"<p>{_text(text)}</p>" for text in texts)
+
+
+def _text(text: str) -> str:
+    """Return text as HTML; what stands in backticks is code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))

@@ -83,7 +83,7 @@ def make(folders: Folders, settings: Settings) -> Report:
     tables = _tables(numbers, study, read)
     drawn = dict(_figures(folders, read, numbers, tables, settings))
     copies = {name: str(each.parameters["label"]["copy"]) for name, each in read.labels.items()}
-    sections = words.sections(tables, numbers, copies)
+    sections = words.sections(tables, numbers, copies, read.runtime)
     lead = words.lead(study, numbers["datasets"], read.labels, read.tests)
     title = f"PointNetKL: covariances of GICP registration, scale {study.scale}"
     metrics = known_only(published(numbers))

@@ -35,7 +35,7 @@ def lead(study: Study, datasets: Numbers, of_labels: Mapping[str, Labels], tests
     ]
 
 
-def sections(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> list[Section]:
+def sections(shown: Blocks, numbers: Numbers, copies: Mapping[str, str], runtime: Numbers) -> list[Section]:
     """Return the page's sections around the tables; `copies` are the surveys' label.copy."""
     return [
         surveys.sizes(shown),
@@ -48,7 +48,7 @@ def sections(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> list
         closures.section(shown, numbers, copies),
         covariances.classes(shown),
         covariances.limits(copies, numbers["datasets"]),
-        covariances.time(shown),
+        covariances.time(shown, runtime),
         *slam.sections(shown, numbers["slam"]),
         robustness.section(shown),
     ]
