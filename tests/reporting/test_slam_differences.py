@@ -17,7 +17,7 @@ OFF = {"network": 0.0, "constant": 0.5, "censi": 40.0, "hessian": 0.1, "cello": 
 
 def rows(first: int = 5, noise: float = 0.0) -> pd.DataFrame:
     """Made-up errors of four draws, of `first` noises in the first and three in the others; the noise is common."""
-    rng, found = np.random.default_rng(0), []
+    rng, result = np.random.default_rng(0), []
     for draw in range(4):
         for repetition in range(first if draw == 0 else 3):
             common = rng.uniform(10, 100)
@@ -26,8 +26,8 @@ def rows(first: int = 5, noise: float = 0.0) -> pd.DataFrame:
                     common + off + noise * rng.normal() + (1000.0 if repetition > 2 and method == "constant" else 0.0)
                 )
                 run = {"variant": "table", "method": method, "draw": draw, "repetition": repetition}
-                found.append({**run, **dict.fromkeys(ERRORS, error)})
-    return pd.DataFrame(found)
+                result.append({**run, **dict.fromkeys(ERRORS, error)})
+    return pd.DataFrame(result)
 
 
 def benchmark(rows: pd.DataFrame) -> results.Test:
@@ -44,9 +44,11 @@ def differences(rows: dict[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def test_what_all_methods_share_drops_out():
-    found = differences({"borno_8": rows()}).set_index(["measure", "method"])["difference_m"]
+    result = differences({"borno_8": rows()}).set_index(["measure", "method"])["difference_m"]
     for measure in slam_numbers.MEASURES:
-        assert found[measure].to_dict() == pytest.approx({name: -off for name, off in OFF.items() if name != "network"})
+        assert result[measure].to_dict() == pytest.approx(
+            {name: -off for name, off in OFF.items() if name != "network"}
+        )
 
 
 def test_seeing_every_noise_twice_makes_no_interval_narrower():
@@ -58,16 +60,16 @@ def test_seeing_every_noise_twice_makes_no_interval_narrower():
 
 
 def test_every_draw_counts_with_as_many_noises():
-    found = differences({"borno_8": rows(first=5)})  # constant is far off in the first draw's last two
-    assert found[found["method"] == "constant"]["difference_m"].to_numpy() == pytest.approx(-0.5)
+    result = differences({"borno_8": rows(first=5)})  # constant is far off in the first draw's last two
+    assert result[result["method"] == "constant"]["difference_m"].to_numpy() == pytest.approx(-0.5)
 
 
 def test_what_has_no_solution_is_left_out_of_its_method_only():
     of = rows()
     of.loc[(of["method"] == "censi") & (of["draw"] == 1), list(slam_numbers.MEASURES)] = np.nan
-    found = differences({"borno_8": of})
-    assert found[found["method"] == "censi"]["difference_m"].to_numpy() == pytest.approx(-40.0)
-    assert set(found["method"]) == set(OFF) - {"network"}
+    result = differences({"borno_8": of})
+    assert result[result["method"] == "censi"]["difference_m"].to_numpy() == pytest.approx(-40.0)
+    assert set(result["method"]) == set(OFF) - {"network"}
 
 
 def test_a_survey_without_truth_or_without_network_has_no_rows_and_the_figure_says_so():
@@ -88,8 +90,8 @@ def test_a_method_far_behind_stands_at_the_border_with_its_number():
 
 def test_a_survey_without_pairs_leaves_its_panel_empty_and_moves_no_other():
     alone = rows().assign(truth_relative_m=np.nan)
-    found = differences({"mine": alone, "borno_8": rows()})
-    titles = [axes.get_title() for axes in method_plots.slam_differences(found).axes]
+    result = differences({"mine": alone, "borno_8": rows()})
+    titles = [axes.get_title() for axes in method_plots.slam_differences(result).axes]
     assert [title.split(":")[0] for title in titles] == ["mine", "Bornö 8"] * 2 + ["", "Bornö 8"]
 
 

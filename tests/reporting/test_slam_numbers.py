@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 
 from pointnetkl.reporting import results, terrain
-from pointnetkl.reporting.slam import numbers as slam_summary
+from pointnetkl.reporting.slam import numbers as slam_numbers
 from pointnetkl.reporting.slam import tables as slam_tables
-from pointnetkl.reporting.slam import words as slam_story
+from pointnetkl.reporting.slam import words as slam_words
 from pointnetkl.reporting.text_table import Block
 from pointnetkl.slam.benchmark.tables import TRAJECTORIES
 
 RUN = ["variant", "method", "draw", "repetition"]
-ERRORS = [*slam_summary.ERRORS, "truth_relative_m"]
+ERRORS = [*slam_numbers.ERRORS, "truth_relative_m"]
 SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 DRAWS, MANY, FEW = 8, 40, 5
 DATASETS = {"toy": {"simulated": True, "track_km": 1.0}}
@@ -22,20 +22,20 @@ DATASETS = {"toy": {"simulated": True, "track_km": 1.0}}
 
 def rows(seed: int = 0, better_m: float = 0.1) -> pd.DataFrame:
     """Return a benchmark in which draws differ by metres and network is better than constant by a little in each."""
-    rng, made = np.random.default_rng(seed), []
+    rng, table = np.random.default_rng(seed), []
     of_draw = rng.normal(20, 4, DRAWS)
     for draw in range(DRAWS):
         for repetition in range(MANY if draw == 0 else FEW):
             error = of_draw[draw] + rng.normal(0, 2)
             for method, more in (("network", 0.0), ("constant", better_m + rng.normal(0, 0.03)), ("twin", 0.0)):
                 which = {"variant": "table", "method": method, "draw": draw, "repetition": repetition}
-                made.append({**which, **dict.fromkeys(ERRORS, error + more)})
+                table.append({**which, **dict.fromkeys(ERRORS, error + more)})
                 if method == "constant":
-                    made.append({**made[-1], "variant": "authors", **dict.fromkeys(ERRORS, error + 5)})
-    return pd.DataFrame(made)[RUN + ERRORS]
+                    table.append({**table[-1], "variant": "authors", **dict.fromkeys(ERRORS, error + 5)})
+    return pd.DataFrame(table)[RUN + ERRORS]
 
 
-def of(table: pd.DataFrame) -> results.Test:
+def benchmark(table: pd.DataFrame) -> results.Test:
     """Return a test survey with these rows, and 7 loop closures."""
     trajectories = pd.DataFrame(columns=TRAJECTORIES.names)
     poses, edges, none = np.tile(np.eye(4), (9, 1, 1)), np.zeros((7, 2)), np.empty(0)
@@ -47,25 +47,25 @@ def table_rows(method: str) -> pd.DataFrame:
     return TEST.slam[(TEST.slam["method"] == method) & (TEST.slam["variant"] == "table")]
 
 
-TEST = of(rows())
-FOUND = slam_summary.summarise("toy", TEST, SETTINGS)
+TEST = benchmark(rows())
+NUMBERS = slam_numbers.summarise("toy", TEST, SETTINGS)
 
 
 def test_the_paper_s_numbers_are_of_all_noises_on_the_first_draw():
     first = table_rows("constant").query("draw == 0")
     assert len(first) == MANY
-    assert FOUND["constant"]["rmse_xyz_m"] == pytest.approx(first["rmse_xyz_m"].mean())
-    low, high = FOUND["constant"]["rmse_xyz_ci95_m"]
-    assert low < FOUND["constant"]["rmse_xyz_m"] < high
+    assert NUMBERS["constant"]["rmse_xyz_m"] == pytest.approx(first["rmse_xyz_m"].mean())
+    low, high = NUMBERS["constant"]["rmse_xyz_ci95_m"]
+    assert low < NUMBERS["constant"]["rmse_xyz_m"] < high
 
 
 def test_every_draw_counts_the_same_over_draws():
     means = table_rows("constant").query("repetition < @FEW").groupby("draw")["truth_rmse_xyz_m"].mean()
-    assert FOUND["constant"]["draws_truth_rmse_xyz_m"] == pytest.approx(means.mean())
+    assert NUMBERS["constant"]["draws_truth_rmse_xyz_m"] == pytest.approx(means.mean())
 
 
 def test_pairing_tells_apart_what_draws_would_hide():
-    constant = FOUND["constant"]
+    constant = NUMBERS["constant"]
     low, high = constant["draws_truth_rmse_xyz_ci95_m"]
     assert high - low > 20 * 0.1  # the intervals of both methods overlap nearly whole
     assert constant["network_minus_m"] == pytest.approx(-0.1, abs=0.02)
@@ -75,82 +75,83 @@ def test_pairing_tells_apart_what_draws_would_hide():
 
 
 def test_where_network_is_worse_the_interval_says_so():
-    worse = slam_summary.summarise("toy", of(rows(better_m=-0.1)), SETTINGS)["constant"]
+    worse = slam_numbers.summarise("toy", benchmark(rows(better_m=-0.1)), SETTINGS)["constant"]
     assert worse["network_p"] > 0.99
     for which in ("", "_se2", "_relative"):
         assert 0 < worse[f"network_minus{which}_ci95_m"][0] < worse[f"network_minus{which}_m"]
 
 
 def test_a_twin_of_network_is_no_better_and_no_test_says_so():
-    assert FOUND["twin"]["network_minus_m"] == 0.0
-    assert FOUND["twin"]["network_p"] is None
-    assert "network_p" not in FOUND["network"]
+    assert NUMBERS["twin"]["network_minus_m"] == 0.0
+    assert NUMBERS["twin"]["network_p"] is None
+    assert "network_p" not in NUMBERS["network"]
 
 
 def test_a_repetition_without_solution_leaves_its_pair_out():
     table = rows()
     lost = (table["method"] == "constant") & (table["draw"] == 2) & (table["repetition"] == 0)
     table.loc[lost, ERRORS] = np.nan
-    found = slam_summary.summarise("toy", of(table), SETTINGS)["constant"]
-    assert found["network_minus_m"] == pytest.approx(FOUND["constant"]["network_minus_m"], abs=0.01)
-    assert found["network_p"] < 1e-4
+    numbers = slam_numbers.summarise("toy", benchmark(table), SETTINGS)["constant"]
+    assert numbers["network_minus_m"] == pytest.approx(NUMBERS["constant"]["network_minus_m"], abs=0.01)
+    assert numbers["network_p"] < 1e-4
 
 
 def test_navigation_which_no_noise_touches_is_compared_with_nothing():
     alone = table_rows("twin").head(1).assign(method="navigation")
-    found = slam_summary.summarise("toy", of(pd.concat([TEST.slam, alone])), SETTINGS)
-    assert set(found["navigation"]) == set(slam_summary.ERRORS)
+    numbers = slam_numbers.summarise("toy", benchmark(pd.concat([TEST.slam, alone])), SETTINGS)
+    assert set(numbers["navigation"]) == set(slam_numbers.ERRORS)
 
 
 def test_one_draw_has_means_and_no_test():
-    found = slam_summary.summarise("toy", of(TEST.slam[TEST.slam["draw"] == 0]), SETTINGS)["constant"]
-    assert found["network_minus_m"] == pytest.approx(-0.1, abs=0.02)
-    assert found["network_p"] is None
-    assert found["draws_truth_rmse_xyz_ci95_m"] is None
+    numbers = slam_numbers.summarise("toy", benchmark(TEST.slam[TEST.slam["draw"] == 0]), SETTINGS)["constant"]
+    assert numbers["network_minus_m"] == pytest.approx(-0.1, abs=0.02)
+    assert numbers["network_p"] is None
+    assert numbers["draws_truth_rmse_xyz_ci95_m"] is None
 
 
 def test_the_authors_table_has_their_rows_and_one_loop_closure_less():
-    found = slam_summary.authors("toy", TEST, SETTINGS)
-    assert set(found) == {"dead_reckoning_edges", "loop_closures", "constant"}
-    assert (found["loop_closures"], FOUND["loop_closures"]) == (6, 7)
-    assert found["constant"]["rmse_xyz_m"] == pytest.approx(FOUND["constant"]["rmse_xyz_m"] + 4.9, abs=0.05)
+    numbers = slam_numbers.authors("toy", TEST, SETTINGS)
+    assert set(numbers) == {"dead_reckoning_edges", "loop_closures", "constant"}
+    assert (numbers["loop_closures"], NUMBERS["loop_closures"]) == (6, 7)
+    assert numbers["constant"]["rmse_xyz_m"] == pytest.approx(NUMBERS["constant"]["rmse_xyz_m"] + 4.9, abs=0.05)
 
 
 def test_a_variant_stands_beside_the_table_with_their_paired_difference():
-    found = slam_summary.variants(TEST)
-    assert {name: set(of) for name, of in found.items()} == {"table": {"constant"}, "authors": {"constant"}}
-    assert found["table"]["constant"]["minus_table_m"] == 0.0
-    low, high = found["authors"]["constant"]["minus_table_ci95_m"]
-    assert low < found["authors"]["constant"]["minus_table_m"] < high
+    numbers = slam_numbers.variants(TEST)
+    methods = {variant: set(errors) for variant, errors in numbers.items()}
+    assert methods == {"table": {"constant"}, "authors": {"constant"}}
+    assert numbers["table"]["constant"]["minus_table_m"] == 0.0
+    low, high = numbers["authors"]["constant"]["minus_table_ci95_m"]
+    assert low < numbers["authors"]["constant"]["minus_table_m"] < high
     assert (low, high) == pytest.approx((4.9, 4.9), abs=0.1)
 
 
 def test_the_tables_have_a_row_a_method_and_a_row_a_variant():
-    over = slam_tables.draws({"toy": FOUND}, DATASETS).frame
+    over = slam_tables.draws({"toy": NUMBERS}, DATASETS).frame
     assert over["method"].tolist() == ["network", "constant", "twin"]
     assert over["network_p"].tolist()[0] is None
     constant = over[over["method"] == "constant"].iloc[0]
     for which in ("", "_se2", "_relative"):
         limits = constant[f"ci_low_minus{which}"], constant[f"ci_high_minus{which}"]
-        assert limits == FOUND["constant"][f"network_minus{which}_ci95_m"]
+        assert limits == NUMBERS["constant"][f"network_minus{which}_ci95_m"]
     assert list(over.columns).index("ci_high_minus") == list(over.columns).index("network_p") - 1
-    both = slam_tables.variants({"toy": slam_summary.variants(TEST)}, DATASETS).frame
+    both = slam_tables.variants({"toy": slam_numbers.variants(TEST)}, DATASETS).frame
     assert both["variant"].tolist() == ["table", "authors"]
 
 
-@pytest.mark.parametrize(("better_m", "said"), [(0.1, "better"), (-0.1, "worse")])
-def test_the_page_says_whether_network_is_better_by_the_interval(better_m: float, said: str):
-    found = slam_summary.summarise("toy", of(rows(better_m=better_m)), SETTINGS)
-    assert sum(text.startswith("By truth_") and f"), {said}." in text for text in paragraphs(found)) == 2
-    one = slam_summary.summarise("toy", of(TEST.slam[TEST.slam["draw"] == 0]), SETTINGS)
-    assert not any(text.startswith("By truth_") for text in paragraphs(one))
+@pytest.mark.parametrize(("better_m", "verdict"), [(0.1, "better"), (-0.1, "worse")])
+def test_the_page_says_whether_network_is_better_by_the_interval(better_m: float, verdict: str):
+    numbers = slam_numbers.summarise("toy", benchmark(rows(better_m=better_m)), SETTINGS)
+    assert sum(text.startswith("By truth_") and f"), {verdict}." in text for text in paragraphs(numbers)) == 2
+    single = slam_numbers.summarise("toy", benchmark(TEST.slam[TEST.slam["draw"] == 0]), SETTINGS)
+    assert not any(text.startswith("By truth_") for text in paragraphs(single))
 
 
-def paragraphs(found: dict) -> Sequence[str]:
+def paragraphs(numbers: dict) -> Sequence[str]:
     """Return what the page says of the benchmark of a survey with these numbers."""
     thinning = pd.DataFrame({"survey": ["toy"], "thinning": [1], "map_to_map_m": [0.5]})
     shown = {"table_4": [], "table_4_authors": [], "slam_variants": [], "map_thinning": [Block("", thinning)]}
-    return slam_story.sections(shown, {"toy": found})[0].paragraphs
+    return slam_words.sections(shown, {"toy": numbers})[0].paragraphs
 
 
 def test_thinning_has_the_ratio_to_the_error_without_thinning():

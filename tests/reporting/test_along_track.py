@@ -14,9 +14,9 @@ TRACK = np.stack([np.linspace(0, 900, 10), np.sin(np.arange(10.0)), np.zeros(10)
 def tracks(truth: bool = True) -> Tracks:
     """A track with two loop closures, corrupted by a turn about its first submap."""
     turned = pose.transform(pose.matrix(np.zeros(3), 0.1), TRACK)
-    known = {"truth": TRACK} if truth else {}
+    truths = {"truth": TRACK} if truth else {}
     return Tracks(
-        {**known, "gt": TRACK + np.array([0, 1, 0]), "corrupted": turned, "network": TRACK}, np.array([[0, 7], [1, 8]])
+        {**truths, "gt": TRACK + np.array([0, 1, 0]), "corrupted": turned, "network": TRACK}, np.array([[0, 7], [1, 8]])
     )
 
 
