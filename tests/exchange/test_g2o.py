@@ -50,7 +50,7 @@ def test_a_graph_with_full_matrices_comes_back(tmp_path_factory: pytest.TempPath
     np.testing.assert_array_equal(again.edges.source, graph.edges.source)
     np.testing.assert_array_equal(again.poses[:, :3, 3], graph.poses[:, :3, 3])
     np.testing.assert_allclose(again.poses, graph.poses, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(again.edges.measured, graph.edges.measured, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(again.edges.T_target_source, graph.edges.T_target_source, rtol=1e-12, atol=1e-12)
 
 
 @given(seed=SEEDS)
@@ -69,7 +69,7 @@ def test_g2o_s_own_error_of_a_small_motion_costs_what_the_tangent_vector_does(se
     graph, rng = graphs.graph(seed, scales=1.0), np.random.default_rng(seed)
     (first,) = graphs.poses(1, rng, 10.0)
     for measured, information, written in zip(
-        graph.edges.measured, graph.information, in_file(graph, "g2o"), strict=True
+        graph.edges.T_target_source, graph.information, in_file(graph, "g2o"), strict=True
     ):
         measured[:3, 3] /= 1e3  # rounding of kilometres is no small motion
         tangent = 1e-5 * rng.normal(size=6)
@@ -90,7 +90,7 @@ def test_gtsam_reads_its_dialect_as_it_was_meant(tmp_path_factory: pytest.TempPa
     for k, factor in enumerate(factors.at(i) for i in range(factors.size())):
         ends = graph.number[[graph.edges.target[k], graph.edges.source[k]]]
         assert factor.keys() == ends.tolist()
-        np.testing.assert_allclose(factor.measured().matrix(), graph.edges.measured[k], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(factor.measured().matrix(), graph.edges.T_target_source[k], rtol=1e-9, atol=1e-9)
         size = np.sqrt(np.diag(graph.information[k]))
         read = factor.noiseModel().information() / np.outer(size, size)
         np.testing.assert_allclose(read, graph.information[k] / np.outer(size, size), atol=1e-12)

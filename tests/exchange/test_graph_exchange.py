@@ -13,7 +13,7 @@ from toy_graphs import CROSSING, LONG_X, closure, crossing
 
 
 def reversed_edge(edges: Edges) -> Edges:
-    return Edges(edges.source, edges.target, np.linalg.inv(edges.measured))
+    return Edges(edges.source, edges.target, np.linalg.inv(edges.T_target_source))
 
 
 def moved(graph: g2o.Graph) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_a_q_with_yaw_describes_the_same_error_whichever_way_its_edge_runs():
     e = np.tile(np.eye(4), (len(x), 1, 1))
     e[:, 0, 0], e[:, 0, 1], e[:, 1, 0], e[:, 1, 1] = np.cos(yaw), -np.sin(yaw), np.sin(yaw), np.cos(yaw)
     e[:, 0, 3], e[:, 1, 3] = x, y
-    T = forward.measured[0]
+    T = forward.T_target_source[0]
     residual = T @ np.linalg.inv(T @ e)  # of the reversed edge, in the frame of the earlier submap
     errors = np.stack([residual[:, 0, 3], residual[:, 1, 3], np.arctan2(residual[:, 1, 0], residual[:, 0, 0])])
     size = np.sqrt(np.diag(covariance))

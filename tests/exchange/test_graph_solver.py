@@ -72,7 +72,7 @@ def test_the_solver_s_chi2_is_the_sum_over_edges():
     solved = graph_solver.solve(graph)
     assert solved.chi2_before == pytest.approx((4**2 + 3**2) / 0.5)
     poses, edges = solved.poses, graph.edges
-    residual = np.linalg.inv(edges.measured) @ np.linalg.inv(poses[edges.target]) @ poses[edges.source]
+    residual = np.linalg.inv(edges.T_target_source) @ np.linalg.inv(poses[edges.target]) @ poses[edges.source]
     e = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in residual])
     assert solved.chi2_after == pytest.approx(np.einsum("ei,eij,ej->", e, graph.information, e), rel=1e-4)
     assert solved.chi2_after < solved.chi2_before
@@ -88,7 +88,7 @@ def test_what_is_fixed_stays_and_without_it_the_first_vertex_does():
 
 def test_a_vertex_that_nothing_holds_is_named():
     graph = crossing(NO_EDGES)
-    apart = Edges(*(part[:2] for part in (graph.edges.target, graph.edges.source, graph.edges.measured)))
+    apart = Edges(*(part[:2] for part in (graph.edges.target, graph.edges.source, graph.edges.T_target_source)))
     loose = dataclasses.replace(graph, edges=apart, information=graph.information[:2])
     with pytest.raises(GraphSolverError, match="vertex 3 is joined by no edges to a vertex that is held"):
         graph_solver.solve(loose)

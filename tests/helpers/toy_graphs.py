@@ -54,6 +54,6 @@ def mesh() -> tuple[g2o.Graph, int]:
     start = pose_graph.chain(truth[0], relative)
     graph = graph_exchange.join(np.arange(14), start, relative, DEAD_RECKONING, closures, full)
     order = np.array([5, 1, 2, 3, 4, 0, *range(6, 14)])  # its own inverse
-    edges = Edges(order[graph.edges.target], order[graph.edges.source], graph.edges.measured)
+    edges = Edges(order[graph.edges.target], order[graph.edges.source], graph.edges.T_target_source)
     shuffled = dataclasses.replace(graph, number=order, poses=start[order], edges=edges, fixed=order[graph.fixed])
     return shuffled, 13 + 9

@@ -64,8 +64,8 @@ def test_the_first_loop_closure_is_left_out_and_no_other():
     kept, covariances = authors_slips.closures(edges, full)
     assert kept.source.tolist() == edges.source[1:].tolist()
     assert kept.target.tolist() == edges.target[1:].tolist()
-    assert len(kept.measured) == len(covariances) == len(edges.source) - 1
+    assert len(kept.T_target_source) == len(covariances) == len(edges.source) - 1
     none, nothing = authors_slips.closures(
-        kept.__class__(edges.target[:0], edges.source[:0], edges.measured[:0]), full[:0]
+        kept.__class__(edges.target[:0], edges.source[:0], edges.T_target_source[:0]), full[:0]
     )
     assert len(none.source) == len(nothing) == 0

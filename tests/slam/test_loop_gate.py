@@ -46,7 +46,9 @@ def test_at_the_true_poses_the_gate_makes_no_mistake_and_at_others_it_does():
 
 def test_a_gate_that_joined_half_is_told_so():
     edges = GRAPH.closures.edges
-    some = dataclasses.replace(edges, target=edges.target[::2], source=edges.source[::2], measured=edges.measured[::2])
+    some = dataclasses.replace(
+        edges, target=edges.target[::2], source=edges.source[::2], T_target_source=edges.T_target_source[::2]
+    )
     half = dataclasses.replace(GRAPH, draws=(dataclasses.replace(GRAPH.closures, edges=some),))
     all_joined, half_joined = table().iloc[0], table(half).iloc[0]
     assert half_joined["joined"] == len(some.source)

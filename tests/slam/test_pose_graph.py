@@ -29,7 +29,7 @@ def test_q_enters_unrotated_when_the_edge_runs_from_target_to_source():
 
 def test_q_must_be_rotated_when_the_edge_runs_the_other_way():
     forward = closure(1, 3, CROSSING, (4.0, 4.0))
-    backward = Edges(forward.source, forward.target, np.linalg.inv(forward.measured))
+    backward = Edges(forward.source, forward.target, np.linalg.inv(forward.T_target_source))
     R = CROSSING[1][:2, :2].T @ CROSSING[3][:2, :2]  # turns the source's frame to the target's
     wrong, right = moved_by(backward, LONG_X), moved_by(backward, R @ LONG_X @ R.T)
     assert right == pytest.approx(moved_by(forward, LONG_X), abs=0.05)
@@ -131,7 +131,7 @@ def test_closures_are_solved_however_sure_one_direction_is(sigma: float):
     q = R @ np.diag([1.0, sigma**2]) @ R.transpose(0, 2, 1)
     graph = PoseGraph(truth[0], edges, pose_graph.closure_covariances(q, CLOSURE))
     optimised = graph.solve(odometry)
-    residual = np.linalg.inv(edges.measured) @ np.linalg.inv(optimised[edges.target]) @ optimised[edges.source]
+    residual = np.linalg.inv(edges.T_target_source) @ np.linalg.inv(optimised[edges.target]) @ optimised[edges.source]
     sure = np.einsum("eij,ei->ej", R, residual[:, :2, 3])[:, 1]
     assert np.abs(sure).max() < max(4 * sigma, 0.02)  # what turns of the edges leave
     assert np.isfinite(graph.position_covariances(odometry, optimised)).all()

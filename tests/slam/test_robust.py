@@ -72,7 +72,7 @@ def test_gnc_with_false_closures_finds_what_the_true_ones_alone_give():
 
 def test_a_q_that_is_too_small_makes_true_closures_look_wrong():
     edges = closures(0)
-    edges.measured[:, :2, 3] += np.random.default_rng(1).normal(0, 0.3, (len(TRUE), 2))
+    edges.T_target_source[:, :2, 3] += np.random.default_rng(1).normal(0, 0.3, (len(TRUE), 2))
     tight = dataclasses.replace(DEAD_RECKONING, x_m=0.1, y_m=0.1)  # or the poses would give way to the closures
     odometry = pose_graph.Odometry(pose_graph.between(SQUARE), tight, SQUARE)
 
@@ -85,7 +85,7 @@ def test_a_q_that_is_too_small_makes_true_closures_look_wrong():
 
 def test_a_graph_that_is_not_finite_is_an_error_and_not_an_answer():
     edges = closures(0)
-    edges.measured[0, 0, 3] = np.nan
+    edges.T_target_source[0, 0, 3] = np.nan
     odometry = pose_graph.Odometry(pose_graph.between(SQUARE), DEAD_RECKONING, SQUARE)
     graph = robust_graph(edges, np.tile(np.eye(2), (len(TRUE), 1, 1)), odometry)
     with pytest.raises(estimators.RobustError, match="12 nodes"):

@@ -43,7 +43,7 @@ def test_a_registration_shared_by_its_edges_counts_once():
     # the information of its edges then adds up to that of one Q
     assert np.bincount(closures.registration, 1 / x_variances("shared")) == pytest.approx(1 / 0.04)
     assert np.bincount(closures.registration).max() > 1
-    none = Edges(*(part[:0] for part in (closures.edges.target, closures.edges.source, closures.edges.measured)))
+    none = Edges(*(part[:0] for part in (closures.edges.target, closures.edges.source, closures.edges.T_target_source)))
     bare = dataclasses.replace(closures, edges=none, registration=closures.registration[:0])
     assert x_variances("shared", bare).shape == (0,)
 

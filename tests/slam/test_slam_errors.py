@@ -44,7 +44,9 @@ def test_without_truth_or_pairs_nothing_is_known():
     unknown = dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan))
     errors = slam_errors.errors(unknown, EDGES, BENT)
     assert all(np.isnan(value) == name.startswith("truth_") for name, value in errors.items())
-    none = dataclasses.replace(EDGES, target=EDGES.target[:0], source=EDGES.source[:0], measured=EDGES.measured[:0])
+    none = dataclasses.replace(
+        EDGES, target=EDGES.target[:0], source=EDGES.source[:0], T_target_source=EDGES.T_target_source[:0]
+    )
     assert np.isnan(slam_errors.relative_error(none, BENT, GRAPH.truth))
 
 

@@ -90,9 +90,9 @@ def test_false_closures_never_join_submaps_that_overlap():
 def test_false_closures_have_the_x_y_of_a_true_one_and_the_rest_of_gt():
     true = GRAPH.draws[0].edges
     _, edges = stress.with_false(EXPERIMENT, 0)[-1]
-    false = edges.measured[len(true.source) :]
+    false = edges.T_target_source[len(true.source) :]
     gt = np.linalg.inv(GRAPH.gt[edges.target]) @ GRAPH.gt[edges.source]
-    assert {tuple(xy) for xy in false[:, :2, 3]} <= {tuple(xy) for xy in true.measured[:, :2, 3]}
+    assert {tuple(xy) for xy in false[:, :2, 3]} <= {tuple(xy) for xy in true.T_target_source[:, :2, 3]}
     expected = gt[len(true.source) :]
     assert false[:, :, :3] == pytest.approx(expected[:, :, :3])
     assert false[:, 2, 3] == pytest.approx(expected[:, 2, 3])
@@ -103,14 +103,14 @@ def test_a_share_is_of_all_closures_and_a_lower_one_is_among_the_higher():
     by_share = dict(stress.with_false(EXPERIMENT, 0))
     for share, edges in by_share.items():
         assert (len(edges.source) - true) / len(edges.source) == pytest.approx(share, abs=0.02)
-    few, many = (by_share[share].measured for share in (0.1, 0.25))
+    few, many = (by_share[share].T_target_source for share in (0.1, 0.25))
     assert (many[: len(few)] == few).all()
     assert false_closures.counts(90, [0.0, 0.1, 0.5]) == [0, 10, 90]
 
 
 def test_each_repetition_has_its_own_false_closures_and_noise_and_each_run_the_same():
     first, again, other = (stress.with_false(EXPERIMENT, r)[-1][1] for r in (0, 0, 2))
-    assert (first.measured == again.measured).all()
+    assert (first.T_target_source == again.T_target_source).all()
     assert not np.array_equal(first.target, other.target)
     assert not np.allclose(stress.corrupt(EXPERIMENT, 0), stress.corrupt(EXPERIMENT, 1))
 

@@ -76,7 +76,7 @@ def to_text(graph: Graph, dialect: str) -> str:
     ]
     lines += [f"{_VERTEX} {name} {_line(row)}" for name, row in zip(names, _rows(graph.poses), strict=True)]
     lines += [f"{_FIX} {names[node]}" for node in graph.fixed.tolist()]
-    for k, i, T, row in zip(edges.target, edges.source, _rows(edges.measured), information, strict=True):
+    for k, i, T, row in zip(edges.target, edges.source, _rows(edges.T_target_source), information, strict=True):
         lines.append(f"{_EDGE} {names[k]} {names[i]} {_line(T)} {_line(row)}")
     return "\n".join(lines) + "\n"
 

@@ -34,7 +34,7 @@ def join(
     edges = Edges(
         np.concatenate([node[:-1], closures.target]),
         np.concatenate([node[1:], closures.source]),
-        np.concatenate([dead_reckoning, closures.measured]),
+        np.concatenate([dead_reckoning, closures.T_target_source]),
     )
     return g2o.Graph(number, poses, edges, np.concatenate([odometry, inverse(covariances)]), node[:1])
 
@@ -82,6 +82,6 @@ def _in_source_frame(graph: g2o.Graph, edge: int, q: Mapping[int, np.ndarray]) -
         raise GraphExchangeError(f"submap {later} closes a loop with {min(first, second)} and has no covariance")
     if later == second:
         return q[later]
-    T_second_first = SE2.from_matrix(np.linalg.inv(graph.edges.measured[edge]))
+    T_second_first = SE2.from_matrix(np.linalg.inv(graph.edges.T_target_source[edge]))
     adjoint = T_second_first.adjoint()[: len(q[later]), : len(q[later])]
     return np.asarray(adjoint @ q[later] @ adjoint.T)

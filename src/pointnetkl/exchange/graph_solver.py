@@ -67,7 +67,7 @@ def solve_robust(graph: Graph, doubted: np.ndarray, kernel: str, thresholds: Thr
     """
     graph = _held_first(graph)
     _require_connected(graph)
-    closures = Edges(*(part[doubted] for part in (graph.edges.target, graph.edges.source, graph.edges.measured)))
+    closures = Edges(*(part[doubted] for part in (graph.edges.target, graph.edges.source, graph.edges.T_target_source)))
     trusted = _factors(graph, np.setdiff1d(np.arange(len(graph.edges.source)), doubted))
     covariances = inverse(graph.information[doubted])
     robust_graph = RobustGraph(trusted, gtsam_search.to_values(graph.poses), closures, covariances, thresholds)
@@ -99,7 +99,7 @@ def _edges(graph: Graph, indices: np.ndarray) -> gtsam.NonlinearFactorGraph:
     for e in indices.tolist():
         model = gtsam.noiseModel.Gaussian.Information(graph.information[e])
         ends = int(edges.target[e]), int(edges.source[e])
-        factors.add(gtsam.BetweenFactorPose3(*ends, gtsam.Pose3(edges.measured[e]), model))
+        factors.add(gtsam.BetweenFactorPose3(*ends, gtsam.Pose3(edges.T_target_source[e]), model))
     return factors
 
 

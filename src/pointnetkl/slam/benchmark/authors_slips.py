@@ -26,4 +26,4 @@ def acting(covariances: np.ndarray) -> np.ndarray:
 
 def closures(edges: Edges, covariances: np.ndarray) -> tuple[Edges, np.ndarray]:
     """Return the loop closures that the authors' program optimises, and the covariances (e - 1, 6, 6) it works with."""
-    return Edges(edges.target[1:], edges.source[1:], edges.measured[1:]), acting(covariances[1:])
+    return Edges(edges.target[1:], edges.source[1:], edges.T_target_source[1:]), acting(covariances[1:])

@@ -227,7 +227,7 @@ class _FrontEnd:
             edges=Edges(
                 target=np.array([e.target for e in edges], np.int64),
                 source=np.array([e.source for e in edges], np.int64),
-                measured=np.array([e.T_target_source for e in edges]).reshape(-1, 4, 4),
+                T_target_source=np.array([e.T_target_source for e in edges]).reshape(-1, 4, 4),
             ),
             registration=np.array([e.registration for e in edges], np.int64),
             node=np.array([r.node for r in registrations], np.int64),

@@ -59,11 +59,11 @@ class ClosureNoise(_Noise):
 
 @dataclass(frozen=True)
 class Edges:
-    """Measured relative poses between nodes, counted from 0."""
+    """Measured relative poses between nodes; nodes count from 0."""
 
     target: np.ndarray  # (e,)
     source: np.ndarray  # (e,)
-    measured: np.ndarray  # (e, 4, 4) T_target_source
+    T_target_source: np.ndarray  # (e, 4, 4)
 
 
 def sigmas(noise: DeadReckoningNoise | ClosureNoise) -> np.ndarray:
@@ -171,7 +171,9 @@ class PoseGraph:
 
 def _fixed(first: np.ndarray, closures: Edges, covariances: np.ndarray) -> gtsam.NonlinearFactorGraph:
     factors = gtsam_search.hold({0: first})
-    for k, i, T, covariance in zip(closures.target, closures.source, closures.measured, covariances, strict=True):
+    for k, i, T, covariance in zip(
+        closures.target, closures.source, closures.T_target_source, covariances, strict=True
+    ):
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         factors.add(gtsam.BetweenFactorPose3(int(k), int(i), gtsam.Pose3(T), model))
     return factors

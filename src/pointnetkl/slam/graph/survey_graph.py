@@ -111,8 +111,8 @@ def errors(closures: Closures, poses: np.ndarray) -> np.ndarray:
     Metres, and with yaw the logarithm of the residual about the centroid of the source's points, as the labels' errors.
     """
     edges, centroid = closures.edges, closures.levers
-    T_target_source = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
-    return residual_errors(np.linalg.inv(edges.measured) @ T_target_source, centroid)
+    expected = np.linalg.inv(poses[edges.target]) @ poses[edges.source]
+    return residual_errors(np.linalg.inv(edges.T_target_source) @ expected, centroid)
 
 
 def residual_errors(residual: np.ndarray, centroid: np.ndarray | None) -> np.ndarray:
@@ -205,7 +205,7 @@ def _draw_arrays(closures: Closures, gt: np.ndarray, truth: np.ndarray) -> dict[
     return {
         "edge_target": closures.edges.target,
         "edge_source": closures.edges.source,
-        "edge_measured": closures.edges.measured,
+        "edge_measured": closures.edges.T_target_source,
         "edge_registration": closures.registration,
         "edge_error_gt_m": errors(closures, gt),
         "edge_error_truth_m": errors(closures, truth),

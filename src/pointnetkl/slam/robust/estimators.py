@@ -76,7 +76,7 @@ class RobustGraph:
         self._trusted, self._initial, self._thresholds = trusted, initial, thresholds
         self._pairs = [
             (int(k), int(i), gtsam.Pose3(T))
-            for k, i, T in zip(closures.target, closures.source, closures.measured, strict=True)
+            for k, i, T in zip(closures.target, closures.source, closures.T_target_source, strict=True)
         ]
         self._models = [gtsam.noiseModel.Gaussian.Covariance(covariance) for covariance in covariances]
         self._plain = self._factors(self._models)

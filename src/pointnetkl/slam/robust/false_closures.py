@@ -24,9 +24,9 @@ def draw(true: Edges, gt: np.ndarray, pairs: np.ndarray, count: int, rng: np.ran
     z, roll, pitch and yaw of GT (n, 4, 4).
     """
     target, source = rng.permutation(pairs)[np.arange(count) % len(pairs)].T
-    measured = np.linalg.inv(gt[target]) @ gt[source]
-    measured[:, :2, 3] = true.measured[rng.integers(len(true.source), size=count), :2, 3]
-    return Edges(target, source, measured)
+    T_target_source = np.linalg.inv(gt[target]) @ gt[source]
+    T_target_source[:, :2, 3] = true.T_target_source[rng.integers(len(true.source), size=count), :2, 3]
+    return Edges(target, source, T_target_source)
 
 
 def join(true: Edges, false: Edges, count: int) -> Edges:
@@ -34,5 +34,5 @@ def join(true: Edges, false: Edges, count: int) -> Edges:
     return Edges(
         target=np.concatenate([true.target, false.target[:count]]),
         source=np.concatenate([true.source, false.source[:count]]),
-        measured=np.concatenate([true.measured, false.measured[:count]]),
+        T_target_source=np.concatenate([true.T_target_source, false.T_target_source[:count]]),
     )
