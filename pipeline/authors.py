@@ -3,6 +3,9 @@
 This script is not a stage of dvc.yaml, because not everyone has the arrays. Its parameters are in authors.yaml.
 """
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 import hashlib
 from collections.abc import Mapping, Sequence

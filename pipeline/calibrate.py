@@ -1,5 +1,8 @@
 """Measure the errors of a survey's loop closures, and covariances of them, to check the labels of single submaps."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

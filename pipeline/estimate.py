@@ -1,5 +1,8 @@
 """Covariances of a survey's submaps by the methods that need only the submap, its labels or a few registrations."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

@@ -1,5 +1,8 @@
 """The rivals that learn a few numbers from the labels of the training surveys."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

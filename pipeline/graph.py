@@ -3,6 +3,9 @@
 Tiles of points have no track. Their graph has no edges, and the stages after it write tables without rows.
 """
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

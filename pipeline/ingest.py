@@ -1,5 +1,8 @@
 """Read a raw survey of any supported format into pings and soundings in a local map frame."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 from typing import Any

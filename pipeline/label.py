@@ -1,5 +1,8 @@
 """Label one survey's submaps: the covariance of GICP by Monte Carlo, and the error samples behind it."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

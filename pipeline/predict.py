@@ -1,5 +1,8 @@
 """Covariances of one survey's submaps by the methods that learned from the labels of the training surveys."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

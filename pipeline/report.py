@@ -1,5 +1,8 @@
 """The paper's tables and figures beside ours, metrics.json, and one page that shows them all."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

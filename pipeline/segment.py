@@ -4,6 +4,9 @@ Submaps that another program has cut are kept as they are. What later stages nee
 its point spacing, stands in the metadata of both tables.
 """
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -1,5 +1,8 @@
 """Simulate a survey: raw pings as a sonar would log them, a file for each line, and the true trajectory."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 

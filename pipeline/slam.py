@@ -1,5 +1,8 @@
 """Optimise a survey's corrupted graphs many times, with the covariances of every method."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 import sys
 from collections.abc import Iterable, Mapping

@@ -1,5 +1,8 @@
 """Optimise a survey's graph with false loop closures among the true ones, by robust estimators."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,8 @@
 """Train one model on the training surveys' labels; write it, its losses as it goes, and how good it is."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 import dataclasses
 from pathlib import Path

@@ -1,5 +1,8 @@
 """Vary the labels of a few submaps of one survey: by number of runs, point spacing and noise of the copy."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 import functools
 from itertools import chain

@@ -1,5 +1,8 @@
 """Compute every submap's canonical cloud, the network's input: zero-mean, in the unit sphere, one point a voxel."""
 
+import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
+
+# isort: split
 import argparse
 from pathlib import Path
 
