@@ -16,17 +16,17 @@ from pointnetkl.workflow.errors import PointNetKLError
 def changed(**cells: Any) -> list[tuple[Any, ...]]:
     """Return rows of which the second has other cells."""
     names = ("points", "prior", "posterior", "rho", "submap", "covariance")
-    every = authors_arrays.rows(3)
-    every[1] = tuple(cells.get(name, cell) for name, cell in zip(names, every[1], strict=True))
-    return every
+    rows_by_file = authors_arrays.rows(3)
+    rows_by_file[1] = tuple(cells.get(name, cell) for name, cell in zip(names, rows_by_file[1], strict=True))
+    return rows_by_file
 
 
-def refusal(folder: Path, every: list[tuple[Any, ...]]) -> str:
-    path = authors_arrays.write(folder / "baltic.npy", every)
-    with pytest.raises(PointNetKLError) as found:
+def refusal(folder: Path, rows_by_file: list[tuple[Any, ...]]) -> str:
+    path = authors_arrays.write(folder / "baltic.npy", rows_by_file)
+    with pytest.raises(PointNetKLError) as caught:
         consolidated.read(path)
-    assert "\n" not in str(found.value)
-    return str(found.value).removeprefix(str(path))
+    assert "\n" not in str(caught.value)
+    return str(caught.value).removeprefix(str(path))
 
 
 def test_rows_become_clouds_labels_and_priors_in_the_order_of_the_file(tmp_path: Path):
@@ -95,16 +95,16 @@ def test_rows_that_share_one_array_cannot_multiply_it(tmp_path: Path):
 
 
 def test_files_are_joined_for_training_in_their_order(tmp_path: Path):
-    every = {
+    rows_by_file = {
         name: consolidated.read(authors_arrays.write(tmp_path / f"{name}.npy", authors_arrays.rows(count, seed=count)))
         for name, count in (("baltic", 3), ("borno", 2))
     }
-    joined = consolidated.samples(every)
+    joined = consolidated.samples(rows_by_file)
     assert joined.survey.tolist() == ["baltic"] * 3 + ["borno"] * 2
     assert joined.submap.tolist() == [0, 1, 2, 0, 1]
-    np.testing.assert_array_equal(joined.clouds[4], every["borno"].clouds.cloud(1).points)
-    np.testing.assert_array_equal(joined.radius[3:], every["borno"].clouds.radius)
-    np.testing.assert_array_equal(joined.label[:3], every["baltic"].label)
+    np.testing.assert_array_equal(joined.clouds[4], rows_by_file["borno"].clouds.cloud(1).points)
+    np.testing.assert_array_equal(joined.radius[3:], rows_by_file["borno"].clouds.radius)
+    np.testing.assert_array_equal(joined.label[:3], rows_by_file["baltic"].label)
 
 
 def test_a_file_without_rows_is_refused(tmp_path: Path):

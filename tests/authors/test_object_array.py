@@ -23,11 +23,11 @@ def read(folder: Path, content: bytes) -> list[tuple[Any, ...]]:
 
 def refusal(folder: Path, content: bytes) -> str:
     """Return the one sentence that a file is refused with."""
-    with pytest.raises(object_array.ObjectArrayError) as found:
+    with pytest.raises(object_array.ObjectArrayError) as caught:
         read(folder, content)
-    assert str(found.value).startswith(f"{folder / 'a.npy'}: ")
-    assert "\n" not in str(found.value)
-    return str(found.value)
+    assert str(caught.value).startswith(f"{folder / 'a.npy'}: ")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def agree(rows: list[tuple[Any, ...]], expected: list[tuple[Any, ...]]) -> bool:
@@ -45,15 +45,15 @@ class Calls:
         return self.call
 
 
-def name(module: str, of: str) -> bytes:
+def name(module: str, attribute: str) -> bytes:
     """Return opcodes that put what has this name on the stack."""
-    return f"c{module}\n{of}\n".encode()
+    return f"c{module}\n{attribute}\n".encode()
 
 
-def holding(cell: object, at: int = 3) -> bytes:
+def holding(cell: object, column: int = 3) -> bytes:
     """Return a file of one row, one of whose cells is this."""
     cells: list[Any] = list(authors_arrays.row(0))
-    cells[at] = cell
+    cells[column] = cell
     return authors_arrays.npy(authors_arrays.pickled(authors_arrays.as_array([tuple(cells)])))
 
 

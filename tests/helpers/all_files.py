@@ -31,8 +31,8 @@ def attitude(
 ) -> bytes:
     """Return an attitude datagram: degrees, ten samples a second; by default of the sensor in use."""
     samples = [
-        struct.pack(order + "HHhhhH", 100 * number, 0, round(one * 100), round(other * 100), 0, 9000)
-        for number, (one, other) in enumerate(zip(roll, pitch, strict=True))
+        struct.pack(order + "HHhhhH", 100 * number, 0, round(roll_deg * 100), round(pitch_deg * 100), 0, 9000)
+        for number, (roll_deg, pitch_deg) in enumerate(zip(roll, pitch, strict=True))
     ]
     return datagram("A", struct.pack(order + "H", len(roll)) + b"".join(samples) + bytes([descriptor]), time_s, order)
 
@@ -91,18 +91,18 @@ def survey(pings: int = 12, order: str = "<", begin: float = BEGIN, seabed: floa
     """Return a file: a ship heads east at 10 N at about 1 m/s, the seabed rises to starboard by an eighth."""
     parts = [datagram("I", b"\0\0WLZ=-1.5,SMH=7,", begin, order)]
     for number in range(pings):
-        at = begin + number
-        parts.append(attitude(at, [1.0] * 10, [-1.0] * 10, order=order))
-        parts.append(position(at, 5.0 + 1e-5 * number, 10.0, order=order))
-        parts.append(xyz88(at, seabed - ACROSS / 8, order=order))
-        parts.append(datagram("Y", bytes(40), at, order))
+        time = begin + number
+        parts.append(attitude(time, [1.0] * 10, [-1.0] * 10, order=order))
+        parts.append(position(time, 5.0 + 1e-5 * number, 10.0, order=order))
+        parts.append(xyz88(time, seabed - ACROSS / 8, order=order))
+        parts.append(datagram("Y", bytes(40), time, order))
     return b"".join(parts)
 
 
 def starts(content: bytes, kind: str, order: str = "<") -> list[int]:
     """Return the byte at which each datagram of a type begins."""
-    at, found = 0, []
-    while at < len(content):
-        found += [at] if content[at + 5] == ord(kind) else []
-        at += 4 + struct.unpack_from(order + "I", content, at)[0]
-    return found
+    offset, starts_ = 0, []
+    while offset < len(content):
+        starts_ += [offset] if content[offset + 5] == ord(kind) else []
+        offset += 4 + struct.unpack_from(order + "I", content, offset)[0]
+    return starts_

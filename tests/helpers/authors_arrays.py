@@ -26,18 +26,18 @@ def rows(count: int, seed: int = 0) -> list[tuple[Any, ...]]:
     return [row(i, roughness=i / count, points=50 + i, seed=seed) for i in range(count)]
 
 
-def as_array(every: list[tuple[Any, ...]]) -> np.ndarray:
+def as_array(rows: list[tuple[Any, ...]]) -> np.ndarray:
     """Return rows as the (n, 6) array of objects that np.save makes of them."""
-    array = np.empty((len(every), len(every[0])), object)
-    for i, cells in enumerate(every):
+    array = np.empty((len(rows), len(rows[0])), object)
+    for i, cells in enumerate(rows):
         for j, cell in enumerate(cells):
             array[i, j] = cell
     return array
 
 
-def write(path: Path, every: list[tuple[Any, ...]]) -> Path:
+def write(path: Path, rows: list[tuple[Any, ...]]) -> Path:
     """Write rows as np.save does; return the path."""
-    np.save(path, as_array(every), allow_pickle=True)
+    np.save(path, as_array(rows), allow_pickle=True)
     return path
 
 

@@ -47,27 +47,33 @@ def main() -> int:
     parser.add_argument("--one", choices=("damage", "atheris"), help=argparse.SUPPRESS)
     arguments, rest = parser.parse_known_args()
     if arguments.one:
-        return _one(arguments, rest)
+        return _run_reader(arguments, rest)
     if arguments.atheris and importlib.util.find_spec("atheris") is None:
         print("atheris is not installed (pip install -e '.[fuzz]'); its part is left out", file=sys.stderr)
         arguments.atheris = 0
-    tasks = [(name, way) for way in ("damage", "atheris")[: 1 + bool(arguments.atheris)] for name in arguments.only]
-    print(f"{'reader':24} {'way':8} {'inputs':>7} {'refused':>8} {'told':>7} {'read':>7} {'slowest':>8} {'memory':>8}")
+    tasks = [
+        (name, mutator) for mutator in ("damage", "atheris")[: 1 + bool(arguments.atheris)] for name in arguments.only
+    ]
+    print(
+        f"{'reader':24} {'by':8} {'inputs':>7} {'refused':>8} {'reported':>8} {'read':>7} {'slowest':>8} {'memory':>8}"
+    )
     with ThreadPoolExecutor(arguments.jobs) as pool:
         return max(pool.map(lambda task: _apart(*task, arguments), tasks))
 
 
-def _apart(name: str, way: str, arguments: argparse.Namespace) -> int:
+def _apart(name: str, mutator: str, arguments: argparse.Namespace) -> int:
     """Run one reader in a process of its own: a library may bring that down."""
-    command = [sys.executable, __file__, "--one", way, "--only", name, "--inputs", str(arguments.inputs)]
+    command = [sys.executable, __file__, "--one", mutator, "--only", name, "--inputs", str(arguments.inputs)]
     command += ["--atheris", str(arguments.atheris), "--seed", str(arguments.seed), "--keep", str(arguments.keep)]
     limit_s = 600 + _AVERAGE_S * (arguments.inputs + arguments.atheris)  # what hangs in C hears no alarm
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=limit_s)
     except subprocess.TimeoutExpired:
-        print(f"{name:24} {way:8} HANGS", flush=True)
+        print(f"{name:24} {mutator:8} HANGS", flush=True)
         return 1
-    line = next((text[4:] for text in done.stdout.splitlines() if text.startswith("row ")), f"{name:24} {way:8} DIED")
+    line = next(
+        (text[4:] for text in done.stdout.splitlines() if text.startswith("row ")), f"{name:24} {mutator:8} DIED"
+    )
     print(line, flush=True)
     if done.returncode:
         print(done.stderr[-3000:], file=sys.stderr)
@@ -109,11 +115,14 @@ class _Run:
             self._kept(content)
             raise MemoryError(f"{self.name}: {(_peak_bytes() - self.begun) >> 20} MiB for {len(content)} bytes")
 
-    def row(self, way: str) -> str:
+    def row(self, mutator: str) -> str:
         """Return the line of the summary."""
-        told = " ".join(f"{self.counts[key]:>7}" for key in (damage.REFUSED, damage.TOLD, damage.READ))
+        refused, reported, read = (self.counts[key] for key in (damage.REFUSED, damage.REPORTED, damage.READ))
+        counts = f"{refused:>8} {reported:>8} {read:>7}"
         grown = (_peak_bytes() - self.begun) >> 20
-        return f"row {self.name:24} {way:8} {self.counts.total():>7}  {told} {self.slowest_s:>6.2f} s {grown:>4} MiB"
+        return (
+            f"row {self.name:24} {mutator:8} {self.counts.total():>7} {counts} {self.slowest_s:>6.2f} s {grown:>4} MiB"
+        )
 
     def _kept(self, content: bytes) -> None:
         self.keep.mkdir(parents=True, exist_ok=True)
@@ -121,7 +130,7 @@ class _Run:
         kept.with_suffix(seed_files.FORMATS[self.name].suffix).write_bytes(content)
 
 
-def _one(arguments: argparse.Namespace, rest: list[str]) -> int:
+def _run_reader(arguments: argparse.Namespace, rest: list[str]) -> int:
     (name,) = arguments.only
     with tempfile.TemporaryDirectory() as folder:
         run = _Run(name, arguments.keep, Path(folder))

@@ -95,8 +95,8 @@ def attitude(time_s: float = TIME_S, rate: float = 0.0, status: int = 1, doubts:
     """Return a #SKM datagram from half a second before a time to half a second after: roll 1 + rate dt, pitch -2."""
     samples = b""
     for step in np.linspace(-0.5, 0.5, count):
-        at = time_s + step
-        samples += struct.pack("<4s2H3I", b"#KMB", 132, 1, int(at), round(at % 1 * 1e9), doubts)
+        sample_time = time_s + step
+        samples += struct.pack("<4s2H3I", b"#KMB", 132, 1, int(sample_time), round(sample_time % 1 * 1e9), doubts)
         samples += struct.pack("<2d5f", 0, 0, 0, 1.0 + rate * step, -2.0, 90.0, 0).ljust(112, b"\0")
     return datagram(b"#SKM", struct.pack("<H2B4H", 12, 0, status, 1, count, 132, 127) + samples, time_s, 1)
 

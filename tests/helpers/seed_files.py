@@ -33,7 +33,7 @@ class Seeds:
     """What to damage for one reader."""
 
     suffix: str
-    made: Callable[[], list[bytes]]
+    builders: Callable[[], list[bytes]]
     real: str = ""  # pattern below the folder of real files
     mended: Callable[[bytes], bytes] = bytes  # with checksums that are right again
     outcome: Callable[[Path], str] = damage.outcome
@@ -41,7 +41,7 @@ class Seeds:
     def contents(self) -> list[bytes]:
         """Return the files."""
         paths = sorted(REALDATA.glob(self.real)) if self.real else []
-        return [*self.made(), *(path.read_bytes()[:_REAL_BYTES] for path in paths)]
+        return [*self.builders(), *(path.read_bytes()[:_REAL_BYTES] for path in paths)]
 
 
 def _written(suffix: str, write: Callable[[Path], object]) -> bytes:
@@ -69,14 +69,14 @@ def _all() -> list[bytes]:
 
 def _all_mended(content: bytes) -> bytes:
     """Return the datagrams that can be found by their lengths, with checksums that are right."""
-    changed, at = bytearray(content), 0
+    changed, offset = bytearray(content), 0
     order = "<" if content[2:4] == bytes(2) else ">"  # of a length below 64 KiB
-    while at + 20 < len(changed):
-        end = at + 4 + struct.unpack_from(order + "I", changed, at)[0]
-        if not at + 20 < end <= len(changed):
+    while offset + 20 < len(changed):
+        end = offset + 4 + struct.unpack_from(order + "I", changed, offset)[0]
+        if not offset + 20 < end <= len(changed):
             break
-        struct.pack_into(order + "H", changed, end - 2, sum(changed[at + 5 : end - 3]) & 0xFFFF)
-        at = end
+        struct.pack_into(order + "H", changed, end - 2, sum(changed[offset + 5 : end - 3]) & 0xFFFF)
+        offset = end
     return bytes(changed)
 
 
@@ -87,13 +87,13 @@ def _kmall() -> list[bytes]:
 
 def _kmall_mended(content: bytes) -> bytes:
     """Return the datagrams with the size at their end that stands at their beginning."""
-    changed, at = bytearray(content), 0
-    while at + 20 < len(changed):
-        size = struct.unpack_from("<I", changed, at)[0]
-        if not 20 < size <= len(changed) - at:
+    changed, offset = bytearray(content), 0
+    while offset + 20 < len(changed):
+        size = struct.unpack_from("<I", changed, offset)[0]
+        if not 20 < size <= len(changed) - offset:
             break
-        struct.pack_into("<I", changed, at + size - 4, size)
-        at += size
+        struct.pack_into("<I", changed, offset + size - 4, size)
+        offset += size
     return bytes(changed)
 
 
@@ -107,15 +107,15 @@ def _gsf() -> list[bytes]:
 
 def _gsf_mended(content: bytes) -> bytes:
     """Return the records that can be found by their sizes, with checksums that are right."""
-    changed, at = bytearray(content), 0
-    while at + 12 <= len(changed):
-        size, word = struct.unpack_from(">II", changed, at)
-        begin = at + (12 if word >> 31 else 8)
+    changed, offset = bytearray(content), 0
+    while offset + 12 <= len(changed):
+        size, word = struct.unpack_from(">II", changed, offset)
+        begin = offset + (12 if word >> 31 else 8)
         if not 0 < size <= len(changed) - begin:
             break
         if word >> 31:
-            struct.pack_into(">I", changed, at + 8, sum(changed[begin : begin + size]))
-        at = begin + size
+            struct.pack_into(">I", changed, offset + 8, sum(changed[begin : begin + size]))
+        offset = begin + size
     return bytes(changed)
 
 
@@ -153,12 +153,12 @@ def _sbet() -> list[bytes]:
 def _sbet_outcome(path: Path) -> str:
     """Read navigation alone; return what `damage.outcome` does."""
     try:
-        found = sbet.read(path, 1.6e9)
+        result = sbet.read(path, 1.6e9)
     except PointNetKLError as error:
         return damage.named(path, error)
-    assert all(np.isfinite(getattr(found, name)).all() for name in ("time_s", "east", "north", "heading_rad"))
-    assert np.abs(found.north).max(initial=0) <= 90
-    return damage.TOLD if found.problems or found.skipped else damage.READ
+    assert all(np.isfinite(getattr(result, name)).all() for name in ("time_s", "east", "north", "heading_rad"))
+    assert np.abs(result.north).max(initial=0) <= 90
+    return damage.REPORTED if result.problems or result.skipped else damage.READ
 
 
 def _grid(write: Callable[[Path], Path], suffix: str) -> list[bytes]:
@@ -168,11 +168,11 @@ def _grid(write: Callable[[Path], Path], suffix: str) -> list[bytes]:
 def _grid_outcome(path: Path) -> str:
     """Describe a grid; return what `damage.outcome` does."""
     try:
-        found = depth_grid.describe(path)
+        result = depth_grid.describe(path)
     except PointNetKLError as error:
         return damage.named(path, error)
-    assert found.valid <= found.rows * found.columns
-    assert not found.valid or -12_000 <= found.depth_min_m <= found.depth_max_m <= 12_000
+    assert result.valid <= result.rows * result.columns
+    assert not result.valid or -12_000 <= result.depth_min_m <= result.depth_max_m <= 12_000
     return damage.READ
 
 

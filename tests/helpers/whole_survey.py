@@ -27,12 +27,12 @@ class Whole:
     report: dict[str, Any] = field(default_factory=dict)
 
 
-def read(path: Path, how: readers.Settings = SETTINGS) -> Whole:
+def read(path: Path, settings: readers.Settings = SETTINGS) -> Whole:
     """Read a raw survey with all its soundings."""
     parts: list[pd.DataFrame] = []
-    found = readers.read(path, how, parts.append)
+    survey = readers.read(path, settings, parts.append)
     soundings = pd.concat(parts or [SOUNDINGS.empty_table().to_pandas()], ignore_index=True)
-    return Whole(found.pings, soundings, found.crs, found.origin, found.kind, found.report)
+    return Whole(survey.pings, soundings, survey.crs, survey.origin, survey.kind, survey.report)
 
 
 class Cut(NamedTuple):
@@ -46,5 +46,5 @@ class Cut(NamedTuple):
 def cut(segment: Callable[..., Segmentation], *arguments: Any) -> Cut:
     """Return all submaps of a segmentation, which hands them over one by one."""
     submaps: list[Submap] = []
-    found = segment(*arguments, submaps.append)
-    return Cut(submaps, found.poses, found.dropped)
+    segmentation = segment(*arguments, submaps.append)
+    return Cut(submaps, segmentation.poses, segmentation.dropped)

@@ -30,8 +30,8 @@ def header(
     struct.pack_into("<HHH", data, 164, units, 0, len(sonars))
     struct.pack_into("<f", data, 178, reference_m)
     struct.pack_into("<i", data, 204, latency_ms)
-    for at, place in ((216, navigation or {}), (232, motion)):
-        struct.pack_into("<3f", data, at, *(place.get(name, 0.0) for name in ("forward", "starboard", "down")))
+    for offset, place in ((216, navigation or {}), (232, motion)):
+        struct.pack_into("<3f", data, offset, *(place.get(name, 0.0) for name in ("forward", "starboard", "down")))
     struct.pack_into("<f", data, 228, (navigation or {}).get("yaw", 0.0))
     struct.pack_into("<3f", data, 244, *(motion.get(name, 0.0) for name in ("yaw", "pitch", "roll")))
     for number, place in enumerate(sonars):

@@ -27,7 +27,7 @@ from realdata import REALDATA
 LEAST = {"file", "format", "pings", "soundings", "valid", "track_m", "depth_min_m", "depth_max_m", "skipped"}
 
 
-def told(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
+def printed(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
     """Return the exit status of `inspect` and what it printed."""
     capsys.readouterr()
     status = command.main(["inspect", *map(str, words)])
@@ -37,7 +37,7 @@ def told(capsys: pytest.CaptureFixture, *words: object) -> tuple[int, str, str]:
 
 def objects(capsys: pytest.CaptureFixture, *words: object) -> list[dict[str, Any]]:
     """Return the JSON of `inspect`, which must have no NaN."""
-    _, out, _ = told(capsys, *words, "--json")
+    _, out, _ = printed(capsys, *words, "--json")
     return json.loads(out, parse_constant=pytest.fail)
 
 
@@ -52,25 +52,25 @@ def flagged() -> pd.DataFrame:
 
 def test_json_has_the_numbers_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture):
     path = parquet(tmp_path / "line.parquet", flagged())
-    (one,) = objects(capsys, path)
-    assert one.keys() >= LEAST
-    assert (one["file"], one["format"], one["kind"]) == (str(path), "generic pings", "pings")
-    assert (one["pings"], one["pings_used"], one["soundings"], one["valid"]) == (4, 3, 20, 12)
-    assert one["beams"] == {"min": 5, "median": 5, "max": 5}
-    assert one["flagged"] == {"rejected": 2, "impossible": 1}
-    assert one["skipped"] == {"pings without a position on the earth": 1, "soundings of skipped pings": 5}
-    assert one["track_m"] == pytest.approx(20)
-    assert (one["depth_min_m"], one["depth_max_m"]) == (50, 54)
-    assert one["swath_m"] == 40
-    assert (one["start"], one["end"]) == ("2017-07-14T02:40:00.000Z", "2017-07-14T02:40:10.000Z")
-    assert one["crs"] == "EPSG:32633"
-    assert one["extent_m"] == [499_980, 6_000_000.5, 500_020, 6_000_020.5]
-    assert (one["longitude_deg"], one["latitude_deg"]) == (15, pytest.approx(54.1481, abs=1e-4))
-    assert "error" not in one
+    (facts,) = objects(capsys, path)
+    assert facts.keys() >= LEAST
+    assert (facts["file"], facts["format"], facts["kind"]) == (str(path), "generic pings", "pings")
+    assert (facts["pings"], facts["pings_used"], facts["soundings"], facts["valid"]) == (4, 3, 20, 12)
+    assert facts["beams"] == {"min": 5, "median": 5, "max": 5}
+    assert facts["flagged"] == {"rejected": 2, "impossible": 1}
+    assert facts["skipped"] == {"pings without a position on the earth": 1, "soundings of skipped pings": 5}
+    assert facts["track_m"] == pytest.approx(20)
+    assert (facts["depth_min_m"], facts["depth_max_m"]) == (50, 54)
+    assert facts["swath_m"] == 40
+    assert (facts["start"], facts["end"]) == ("2017-07-14T02:40:00.000Z", "2017-07-14T02:40:10.000Z")
+    assert facts["crs"] == "EPSG:32633"
+    assert facts["extent_m"] == [499_980, 6_000_000.5, 500_020, 6_000_020.5]
+    assert (facts["longitude_deg"], facts["latitude_deg"]) == (15, pytest.approx(54.1481, abs=1e-4))
+    assert "error" not in facts
 
 
 def test_what_a_file_does_not_know_is_null(tmp_path: Path, capsys: pytest.CaptureFixture):
-    (one,) = objects(capsys, parquet(tmp_path / "line.parquet", rows(pings=1, beams=1).assign(quality=3), crs=None))
+    (facts,) = objects(capsys, parquet(tmp_path / "line.parquet", rows(pings=1, beams=1).assign(quality=3), crs=None))
     unknown = (
         "depth_min_m",
         "depth_max_m",
@@ -81,13 +81,13 @@ def test_what_a_file_does_not_know_is_null(tmp_path: Path, capsys: pytest.Captur
         "sensor",
         "vertical",
     )
-    assert [one[name] for name in unknown] == [None] * len(unknown)
-    assert (one["crs"], one["valid"], one["track_m"]) == ("local", 0, 0)
+    assert [facts[name] for name in unknown] == [None] * len(unknown)
+    assert (facts["crs"], facts["valid"], facts["track_m"]) == ("local", 0, 0)
 
 
 def test_the_text_says_what_the_json_does(tmp_path: Path, capsys: pytest.CaptureFixture):
     path = parquet(tmp_path / "line.parquet", flagged())
-    status, out, err = told(capsys, path)
+    status, out, err = printed(capsys, path)
     assert (status, err) == (0, "")
     name, *lines = out.rstrip("\n").splitlines()
     assert name == str(path)
@@ -112,27 +112,27 @@ def test_a_damaged_file_among_good_ones_is_named_and_the_others_are_told(tmp_pat
     assert result.returncode == 1
     assert [line.split(": ")[1] for line in result.stderr.splitlines()] == [str(files[k]) for k in (1, 3, 4)]
     assert all(line.startswith("error: ") for line in result.stderr.splitlines())
-    found = json.loads(result.stdout)
-    assert [one["file"] for one in found] == list(map(str, files))
-    assert [one["pings"] for one in found] == [4, None, 7, None, None]
-    assert [one.get("error") is None for one in found] == [True, False, True, False, False]
-    assert "damaged Parquet file" in found[1]["error"]
-    assert found[1]["format"] == "generic pings"
-    assert all(one.keys() >= LEAST for one in found)
+    facts = json.loads(result.stdout)
+    assert [facts["file"] for facts in facts] == list(map(str, files))
+    assert [facts["pings"] for facts in facts] == [4, None, 7, None, None]
+    assert [facts.get("error") is None for facts in facts] == [True, False, True, False, False]
+    assert "damaged Parquet file" in facts[1]["error"]
+    assert facts[1]["format"] == "generic pings"
+    assert all(facts.keys() >= LEAST for facts in facts)
 
 
 def test_pings_that_have_no_place_are_counted_and_an_error(tmp_path: Path, capsys: pytest.CaptureFixture):
     path = parquet(tmp_path / "lost.parquet", rows().assign(x_m=np.nan))
-    status, out, err = told(capsys, path)
+    status, out, err = printed(capsys, path)
     assert (status, "4 pings without a position" in err) == (1, True)
     assert "4, 4 of them not used" in out
     assert "20, 0 (0.0 %) valid" in out
 
 
 def test_a_file_without_pings_is_no_error(tmp_path: Path, capsys: pytest.CaptureFixture):
-    status, out, err = told(capsys, parquet(tmp_path / "none.parquet", rows().head(0)), "--json", "--plot", tmp_path)
-    (one,) = json.loads(out)
-    assert (status, err, one["pings"], one["soundings"], one["track_m"]) == (0, "", 0, 0, None)
+    status, out, err = printed(capsys, parquet(tmp_path / "none.parquet", rows().head(0)), "--json", "--plot", tmp_path)
+    (facts,) = json.loads(out)
+    assert (status, err, facts["pings"], facts["soundings"], facts["track_m"]) == (0, "", 0, 0, None)
     assert list(tmp_path.glob("*.png")) == []
 
 
@@ -150,11 +150,12 @@ def test_pings_that_are_all_lost_are_an_error_and_none_at_all_is_not(
     module = SimpleNamespace(SUFFIXES=(".lost",), begins=lambda head: head == b"lost", read=lambda path: iter([part]))
     monkeypatch.setitem(FORMATS, "Lost", module)
     (tmp_path / "a.lost").write_bytes(b"lost")
-    found, out, _ = told(capsys, tmp_path / "a.lost", "--json")
-    (one,) = json.loads(out)
-    assert (found, one["pings"], one["skipped"], "error" in one) == (status, 0, skipped, status == 1)
-    assert (one["format"], one["sensor"], one["vertical"]) == ("Lost", "Sonar 1", "below the water line")
-    assert one["problems"] == ["a.lost: holds 60 positions"]
+    exit_status, out, _ = printed(capsys, tmp_path / "a.lost", "--json")
+    (facts,) = json.loads(out)
+    assert (exit_status, facts["pings"], facts["skipped"]) == (status, 0, skipped)
+    assert ("error" in facts) == (status == 1)
+    assert (facts["format"], facts["sensor"], facts["vertical"]) == ("Lost", "Sonar 1", "below the water line")
+    assert facts["problems"] == ["a.lost: holds 60 positions"]
 
 
 def test_of_a_folder_every_raw_file_is_told_in_natural_order_and_nothing_else(
@@ -170,11 +171,11 @@ def test_of_a_folder_every_raw_file_is_told_in_natural_order_and_nothing_else(
     (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8\xff\xe0")
     (tmp_path / ".hidden.parquet").write_bytes(b"PAR1")
     (tmp_path / "cut.gsf").touch()
-    found = objects(capsys, tmp_path)
-    assert [one["file"] for one in found] == [
+    facts = objects(capsys, tmp_path)
+    assert [facts["file"] for facts in facts] == [
         str(tmp_path / name) for name in ("cut.gsf", "line_2.parquet", "line_10.parquet", "sub/deeper.parquet")
     ]
-    status, out, err = told(capsys, tmp_path)
+    status, out, err = printed(capsys, tmp_path)
     assert (status, err.count("\n"), "cut.gsf: is empty" in err) == (1, 1, True)
     assert out.endswith("4 files, 12 pings, 60 soundings, 60 valid; 1 of the files cannot be used\n")
 
@@ -186,9 +187,9 @@ def test_inspect_and_ingest_choose_the_same_files_of_a_folder(tmp_path: Path):
     (tmp_path / "cut.gsf").touch()
     (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8\xff\xe0")
     np.savetxt(tmp_path / "surface.dat", np.random.default_rng(0).uniform(0, 9, (50, 3)), "%.2f")
-    chosen = choice.files([tmp_path])
-    assert chosen == readers.files(tmp_path)[0]
-    assert [file.name for file in chosen] == ["cut.gsf", "line.parquet", "surface.dat"]
+    files_of_folder = choice.files([tmp_path])
+    assert files_of_folder == readers.files(tmp_path)[0]
+    assert [file.name for file in files_of_folder] == ["cut.gsf", "line.parquet", "surface.dat"]
     (tmp_path / "map.tif").write_bytes(b"II*\0")
     assert [file.name for file in choice.files([tmp_path])][2] == "map.tif"  # which is no survey
 
@@ -198,7 +199,7 @@ def test_a_folder_without_raw_files_does_not_stop_the_others(tmp_path: Path, cap
     (tmp_path / "texts").mkdir()
     (tmp_path / "texts/a.md").write_text("a\n")
     path = parquet(tmp_path / "line.parquet", rows())
-    status, out, err = told(capsys, tmp_path / "empty", tmp_path / "texts", path)
+    status, out, err = printed(capsys, tmp_path / "empty", tmp_path / "texts", path)
     assert (status, err.count("has no raw files")) == (1, 2)
     assert str(path) in out
 
@@ -209,29 +210,29 @@ def test_a_zone_that_is_given_is_taken(tmp_path: Path, capsys: pytest.CaptureFix
         "EPSG:32631",
         "EPSG:32632",
     ]
-    status, _, err = told(capsys, path, "--zone", "32")
+    status, _, err = printed(capsys, path, "--zone", "32")
     assert (status, err) == (1, "error: --zone: utm_zone is '32', must be auto or a code such as EPSG:32633\n")
 
 
 def test_plots_are_a_map_and_a_view_of_the_swaths(tmp_path: Path, capsys: pytest.CaptureFixture):
     path, out = parquet(tmp_path / "line.parquet", rows(pings=40, beams=30)), tmp_path / "drawn"
-    (one,) = objects(capsys, path, "--plot", out)
-    assert one["plots"] == [str(out / "line_map.png"), str(out / "line_swath.png")]
-    for name in one["plots"]:
+    (facts,) = objects(capsys, path, "--plot", out)
+    assert facts["plots"] == [str(out / "line_map.png"), str(out / "line_swath.png")]
+    for name in facts["plots"]:
         pixels = np.asarray(Image.open(name).convert("RGB"), float)
         assert pixels.shape[1] > 400
         assert pixels.std() > 5
-    before = [Path(name).read_bytes() for name in one["plots"]]
-    told(capsys, path, "--plot", out)
-    assert [Path(name).read_bytes() for name in one["plots"]] == before
+    before = [Path(name).read_bytes() for name in facts["plots"]]
+    printed(capsys, path, "--plot", out)
+    assert [Path(name).read_bytes() for name in facts["plots"]] == before
 
 
 def test_files_of_one_name_have_plots_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture):
     parquet(tmp_path / "line.parquet", rows())
     (tmp_path / "b").mkdir()
     shutil.copy(tmp_path / "line.parquet", tmp_path / "b/line.parquet")
-    found = objects(capsys, tmp_path / "line.parquet", tmp_path / "b/line.parquet", "--plot", tmp_path / "drawn")
-    assert len({plot for one in found for plot in one["plots"]}) == 4
+    facts = objects(capsys, tmp_path / "line.parquet", tmp_path / "b/line.parquet", "--plot", tmp_path / "drawn")
+    assert len({plot for facts in facts for plot in facts["plots"]}) == 4
 
 
 def test_plot_before_a_file_does_not_take_it_for_a_folder(
@@ -249,7 +250,7 @@ def test_plot_before_a_file_does_not_take_it_for_a_folder(
 @pytest.mark.parametrize("pings", [1, 2])
 def test_the_smallest_surveys_can_be_drawn(tmp_path: Path, pings: int, beams: int, capsys: pytest.CaptureFixture):
     path = parquet(tmp_path / "line.parquet", rows(pings=pings, beams=beams))
-    assert told(capsys, path, "--plot", tmp_path)[0] == 0
+    assert printed(capsys, path, "--plot", tmp_path)[0] == 0
     assert (tmp_path / "line_map.png").stat().st_size > 3000
     assert (tmp_path / "line_swath.png").stat().st_size > 3000
 
@@ -257,13 +258,13 @@ def test_the_smallest_surveys_can_be_drawn(tmp_path: Path, pings: int, beams: in
 def test_beams_whose_numbers_are_names_are_drawn_in_their_order(tmp_path: Path, capsys: pytest.CaptureFixture):
     table = rows()
     table["beam"] = table["beam"] * 400_000_000
-    assert told(capsys, parquet(tmp_path / "line.parquet", table), "--plot", tmp_path)[0] == 0
+    assert printed(capsys, parquet(tmp_path / "line.parquet", table), "--plot", tmp_path)[0] == 0
     assert (tmp_path / "line_swath.png").is_file()
 
 
 def test_what_other_commands_take_is_named(tmp_path: Path, capsys: pytest.CaptureFixture):
     (tmp_path / "network.pt").write_bytes(b"PK\x03\x04")
-    status, _, err = told(capsys, tmp_path / "network.pt")
+    status, _, err = printed(capsys, tmp_path / "network.pt")
     assert (status, err) == (
         1,
         f"error: {tmp_path / 'network.pt'}: is no raw data but a trained model, which `predict` takes\n",
@@ -277,13 +278,19 @@ def test_points_without_pings_have_an_area_and_no_track(
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(60.0), np.arange(40.0)))
     path = tmp_path / "surface.xyz"
     np.savetxt(path, np.column_stack([5e5 + x, 6e6 + y, -30 - x / 10]), "%.2f")
-    (one,) = objects(capsys, path, "--plot", tmp_path)
-    assert (one["format"], one["kind"]) == ("XYZ", "points")
-    assert (one["pings"], one["soundings"], one["valid"], one["track_m"], one["beams"]) == (0, 2400, 2400, None, None)
-    assert one["area_m2"] == pytest.approx(2400, rel=0.1)
-    assert (one["depth_min_m"], one["depth_max_m"]) == (30, 35.9)
-    assert one["plots"] == [str(tmp_path / "surface_map.png")]
-    out = told(capsys, path)[1]
+    (facts,) = objects(capsys, path, "--plot", tmp_path)
+    assert (facts["format"], facts["kind"]) == ("XYZ", "points")
+    assert (facts["pings"], facts["soundings"], facts["valid"], facts["track_m"], facts["beams"]) == (
+        0,
+        2400,
+        2400,
+        None,
+        None,
+    )
+    assert facts["area_m2"] == pytest.approx(2400, rel=0.1)
+    assert (facts["depth_min_m"], facts["depth_max_m"]) == (30, 35.9)
+    assert facts["plots"] == [str(tmp_path / "surface_map.png")]
+    out = printed(capsys, path)[1]
     assert "submaps are cut in tiles" in out
     assert "  pings" not in out
 
@@ -294,18 +301,18 @@ def test_navigation_has_a_track_and_no_soundings(tmp_path: Path, capsys: pytest.
     records[:, 0] = 3 * 86_400 + 3600 + seconds  # Wednesday, one in the morning
     records[:, 1], records[:, 2] = np.deg2rad(55.0), np.deg2rad(15.0 + 1e-5 * seconds)
     path.write_bytes(records.astype("<f8").tobytes())
-    (one,) = objects(capsys, path, "--plot", tmp_path)
-    assert (one["format"], one["kind"], one["records"], one["pings"], one["soundings"]) == (
+    (facts,) = objects(capsys, path, "--plot", tmp_path)
+    assert (facts["format"], facts["kind"], facts["records"], facts["pings"], facts["soundings"]) == (
         "SBET",
         "navigation",
         200,
         0,
         0,
     )
-    assert one["track_m"] == pytest.approx(99.5 * 1e-5 * 63_994, rel=1e-3)  # metres in a degree of longitude there
-    assert (one["week_s"], one["duration_s"], one["start"]) == ([262_800, 262_899.5], 99.5, None)
-    assert one["plots"] == [str(tmp_path / "mission_map.png")]
-    out = told(capsys, path)[1]
+    assert facts["track_m"] == pytest.approx(99.5 * 1e-5 * 63_994, rel=1e-3)  # metres in a degree of longitude there
+    assert (facts["week_s"], facts["duration_s"], facts["start"]) == ([262_800, 262_899.5], 99.5, None)
+    assert facts["plots"] == [str(tmp_path / "mission_map.png")]
+    out = printed(capsys, path)[1]
     assert "Wednesday 01:00:00 to 01:01:39 of a week that the file does not name, 1 min 40 s" in out
     assert "it may take the place of a survey's own" in out
 
@@ -383,10 +390,10 @@ def test_a_map_has_no_holes_where_there_are_soundings():
 def test_real_files_have_their_known_counts(
     name: str, pings: int, soundings: int, valid: int | None, capsys: pytest.CaptureFixture
 ):
-    status, out, _ = told(capsys, REALDATA / name, "--json")
-    (one,) = json.loads(out)
-    assert (status, one["pings"], one["soundings"]) == (0, pings, soundings)
-    assert valid is None or one["valid"] == valid
+    status, out, _ = printed(capsys, REALDATA / name, "--json")
+    (facts,) = json.loads(out)
+    assert (status, facts["pings"], facts["soundings"]) == (0, pings, soundings)
+    assert valid is None or facts["valid"] == valid
 
 
 @pytest.mark.skipif(not REALDATA.is_dir(), reason="no real data beside the project")
@@ -405,11 +412,17 @@ def test_real_grids_are_named_with_what_they_are_for(
     tmp_path: Path,
     capsys: pytest.CaptureFixture,
 ):
-    status, out, _ = told(capsys, REALDATA / name, "--json", "--plot", tmp_path)
-    (one,) = json.loads(out)
-    assert (status, one["kind"], one["pings"], one["soundings"], one["track_m"]) == (0, "grid", 0, cells_in_all, None)
-    assert one["cell_m"] == pytest.approx(cell_m, rel=1e-3)
-    assert (one["depth_min_m"], one["depth_max_m"]) == pytest.approx(depths, abs=0.1)
-    assert "height" in one["vertical"]
-    assert Path(one["plots"][0]).is_file()
-    assert "a seabed to simulate surveys over" in told(capsys, REALDATA / name)[1]
+    status, out, _ = printed(capsys, REALDATA / name, "--json", "--plot", tmp_path)
+    (facts,) = json.loads(out)
+    assert (status, facts["kind"], facts["pings"], facts["soundings"], facts["track_m"]) == (
+        0,
+        "grid",
+        0,
+        cells_in_all,
+        None,
+    )
+    assert facts["cell_m"] == pytest.approx(cell_m, rel=1e-3)
+    assert (facts["depth_min_m"], facts["depth_max_m"]) == pytest.approx(depths, abs=0.1)
+    assert "height" in facts["vertical"]
+    assert Path(facts["plots"][0]).is_file()
+    assert "a seabed to simulate surveys over" in printed(capsys, REALDATA / name)[1]

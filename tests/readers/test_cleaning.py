@@ -28,9 +28,9 @@ def swath() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return ping, across, down
 
 
-def flagged(ping: np.ndarray, across: np.ndarray, down: np.ndarray, how: cleaning.Settings = HOW) -> list[int]:
+def flagged(ping: np.ndarray, across: np.ndarray, down: np.ndarray, settings: cleaning.Settings = HOW) -> list[int]:
     """Return the rows of the gross errors."""
-    return np.flatnonzero(cleaning.outlying(ping, across, down, how)).tolist()
+    return np.flatnonzero(cleaning.outlying(ping, across, down, settings)).tolist()
 
 
 def test_a_blunder_in_the_middle_of_a_swath_is_flagged_and_nothing_else():
@@ -122,15 +122,15 @@ def test_the_verdict_on_a_sounding_does_not_depend_on_the_batch_it_is_read_in(tm
     blunders = [n * 31 + 20 for n in (0, 1, 4, 8, 15, 16, 22)]
     raw.loc[[*rocks, *blunders], "down_m"] = 24.0
     raw.loc[33, "down_m"] = np.nan
-    path, how = parquet(tmp_path / "raw.parquet", pd.concat([raw, raw.tail(2)])), replace(SETTINGS, outliers=HOW)
-    whole = read_whole(path, how)
-    assert np.flatnonzero(whole.soundings["quality"] == recording.OUTLIER).tolist() == [
+    path, settings = parquet(tmp_path / "raw.parquet", pd.concat([raw, raw.tail(2)])), replace(SETTINGS, outliers=HOW)
+    expected = read_whole(path, settings)
+    assert np.flatnonzero(expected.soundings["quality"] == recording.OUTLIER).tolist() == [
         row - (row > 33) for row in blunders
     ]
     monkeypatch.setattr("pointnetkl.readers.georeference.PART", size)
-    again = read_whole(path, how)
-    pd.testing.assert_frame_equal(again.soundings, whole.soundings)
-    assert again.report == whole.report
+    again = read_whole(path, settings)
+    pd.testing.assert_frame_equal(again.soundings, expected.soundings)
+    assert again.report == expected.report
 
 
 def test_submaps_that_another_program_has_cut_are_not_searched_for_errors_of_a_swath(tmp_path, monkeypatch):
@@ -172,7 +172,7 @@ def test_pings_of_one_time_and_place_that_differ_in_one_sounding_are_both_kept(t
     down = np.full(12, 30.0)
     other = down.copy()
     other[5] += 0.01
-    survey = read_toy(tmp_path, monkeypatch, [(1e9 + t, 5.0 * t, each) for t in range(6) for each in (down, other)])
+    survey = read_toy(tmp_path, monkeypatch, [(1e9 + t, 5.0 * t, down_m) for t in range(6) for down_m in (down, other)])
     assert survey.report["skipped"] == {}
 
 

@@ -14,9 +14,9 @@ POINTS = np.random.default_rng(0).normal(size=(50, 3)).round(4) * [40, 40, 2]
 COLOURED = np.dtype([("normal", "<f4", 3), ("x", "<f8"), ("y", "<f8"), ("rgb", "<u4"), ("z", "<f8")])
 
 
-def by_open3d(folder: Path, name: str, **how: bool) -> Path:
+def by_open3d(folder: Path, name: str, **options: bool) -> Path:
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(POINTS))
-    open3d.io.write_point_cloud(str(folder / name), cloud, **how)
+    open3d.io.write_point_cloud(str(folder / name), cloud, **options)
     return folder / name
 
 
@@ -82,12 +82,12 @@ def test_a_cut_file_is_refused_at_any_length(tmp_path: Path, form: str):
         np.savez(tmp_path / form, points=POINTS)
     else:
         by_open3d(tmp_path, form, write_ascii=form[0] == "a", compressed=form[0] == "c")
-    whole = (tmp_path / form).read_bytes()
+    content = (tmp_path / form).read_bytes()
     for share in (0.0, 0.02, 0.1, 0.5, 0.95):
-        (tmp_path / form).write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(CloudFileError, match=form) as found:
+        (tmp_path / form).write_bytes(content[: int(share * len(content))])
+        with pytest.raises(CloudFileError, match=form) as caught:
             clouds.read(tmp_path / form)
-        assert "\n" not in str(found.value)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -112,10 +112,10 @@ def test_a_cut_file_is_refused_at_any_length(tmp_path: Path, form: str):
 )
 def test_what_is_no_cloud_is_refused_in_a_sentence(tmp_path: Path, content: bytes | str, sentence: str):
     path = by_numpy(tmp_path, "odd.xyz", content)
-    with pytest.raises(CloudFileError, match=sentence) as found:
+    with pytest.raises(CloudFileError, match=sentence) as caught:
         clouds.read(path)
-    assert str(found.value).startswith(str(path))
-    assert "\n" not in str(found.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def contents(name: str) -> list[bytes]:
 @pytest.mark.parametrize("name", READERS)
 def test_sound_files_are_read_to_the_end(tmp_path: Path, name: str):
     path = tmp_path / f"sound{seed_files.FORMATS[name].suffix}"
-    for content in seed_files.FORMATS[name].made():
+    for content in seed_files.FORMATS[name].builders():
         path.write_bytes(content)
         assert seed_files.FORMATS[name].outcome(path) != damage.REFUSED
         path.write_bytes(seed_files.FORMATS[name].mended(content))

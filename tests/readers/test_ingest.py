@@ -86,18 +86,18 @@ def test_the_truth_comes_into_the_map_frame(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("columns", "crs", "told"),
+    ("columns", "crs", "cause"),
     [
         ({}, "EPSG:32634", "is in EPSG:32634 and the survey in EPSG:32633"),
         ({"x_m": np.nan}, "EPSG:32633", "20 of its 20 rows are not finite"),
         ({"time_s": 7.0}, "EPSG:32633", "has no time within the survey's"),
     ],
 )
-def test_a_truth_that_is_not_the_survey_s_is_refused(folder: Path, columns: dict[str, float], crs: str, told: str):
+def test_a_truth_that_is_not_the_survey_s_is_refused(folder: Path, columns: dict[str, float], crs: str, cause: str):
     parquet(folder / "truth.parquet", trajectory(**columns), crs=crs)
     result = ingest(folder)
     assert result.returncode == 1
-    assert told in result.stderr
+    assert cause in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -46,8 +46,8 @@ def test_navigation_in_the_folder_replaces_the_ship_s_own(survey: Path):
     assert read_speed(better) == pytest.approx(2 * read_speed(own), rel=1e-2)
 
 
-def read_speed(found: Whole) -> float:
-    return float(np.median(np.diff(found.pings["x_m"])))
+def read_speed(survey: Whole) -> float:
+    return float(np.median(np.diff(survey.pings["x_m"])))
 
 
 def test_the_clock_may_be_utc(survey: Path):
@@ -59,10 +59,10 @@ def test_the_clock_may_be_utc(survey: Path):
 
 def test_pings_that_it_does_not_reach_are_counted(survey: Path):
     sbet(survey, all_files.BEGIN - 1, 6.5)
-    found = read(survey)
-    assert len(found.pings) == 7  # a second beyond its end is still near
-    assert found.report["skipped"]["pings without a position on the earth"] == 5
-    assert "line.all: 5 pings are at no time of" in " ".join(found.report["problems"])
+    result = read(survey)
+    assert len(result.pings) == 7  # a second beyond its end is still near
+    assert result.report["skipped"]["pings without a position on the earth"] == 5
+    assert "line.all: 5 pings are at no time of" in " ".join(result.report["problems"])
 
 
 def test_a_clock_that_is_none_is_refused():
@@ -81,9 +81,9 @@ def test_navigation_is_known_by_its_content_and_a_log_is_none(survey: Path):
     better = read(survey)
     (survey / "log.out").write_text("started at 10:03\nwaves 2 m\n")
     (survey / "post.out").rename(survey / "post.nav")
-    found = read(survey)
-    pd.testing.assert_frame_equal(found.pings, better.pings)
-    assert found.report["problems"][0] == "passed over: 1 file of no known format, log.out"
+    result = read(survey)
+    pd.testing.assert_frame_equal(result.pings, better.pings)
+    assert result.report["problems"][0] == "passed over: 1 file of no known format, log.out"
 
 
 def test_damaged_navigation_is_told_by_its_extension(survey: Path):
@@ -94,9 +94,9 @@ def test_damaged_navigation_is_told_by_its_extension(survey: Path):
 
 def test_navigation_alone_is_no_survey(tmp_path: Path):
     path = sbet(tmp_path, all_files.BEGIN, 15)
-    for given in (path, tmp_path):
+    for path_or_folder in (path, tmp_path):
         with pytest.raises(PointNetKLError, match=r"post.sbet: is navigation, and no raw files"):
-            read(given)
+            read(path_or_folder)
 
 
 def test_a_survey_of_more_than_a_week_is_refused_because_the_navigation_does_not_say_which(survey: Path):
@@ -128,11 +128,11 @@ def test_two_files_of_navigation_that_disagree_are_refused_and_a_copy_does_no_ha
 
 def test_each_ping_takes_the_file_that_reaches_it(survey: Path):
     sbet(survey, all_files.BEGIN - 1, 15)
-    whole = read(survey)
+    result = read(survey)
     table = np.fromfile(survey / "post.sbet", "<f8").reshape(-1, 17)
     write(survey / "post.sbet", table[:140])
     write(survey / "post_2.sbet", table[140:])
-    pd.testing.assert_frame_equal(read(survey).pings, whole.pings, atol=0.2)
+    pd.testing.assert_frame_equal(read(survey).pings, result.pings, atol=0.2)
 
 
 def test_of_long_navigation_only_what_lies_around_a_file_is_searched(survey: Path, monkeypatch: pytest.MonkeyPatch):
@@ -140,9 +140,9 @@ def test_of_long_navigation_only_what_lies_around_a_file_is_searched(survey: Pat
     searched = []
     linear = interpolation.linear
 
-    def counting(time: np.ndarray, known: np.ndarray, *others: object) -> np.ndarray:
-        searched.append(len(known))
-        return linear(time, known, *others)
+    def counting(time: np.ndarray, sampled: np.ndarray, *arguments: object) -> np.ndarray:
+        searched.append(len(sampled))
+        return linear(time, sampled, *arguments)
 
     before = len(read(survey).pings)
     monkeypatch.setattr(interpolation, "linear", counting)

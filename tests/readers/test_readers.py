@@ -20,9 +20,9 @@ from whole_survey import SETTINGS, Whole
 from whole_survey import read as read_whole
 
 
-def read(path: Path, table: pd.DataFrame, **how: Any) -> Whole:
+def read(path: Path, table: pd.DataFrame, **options: Any) -> Whole:
     """Write generic pings and read them back."""
-    return read_whole(parquet(path / "raw.parquet", table, **how))
+    return read_whole(parquet(path / "raw.parquet", table, **options))
 
 
 def refusal(path: Path, zone: str = "auto") -> str:
@@ -202,7 +202,7 @@ Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "cause"),
     [
         (lambda t: t.drop(columns="across_m"), "column across_m is missing"),
         (lambda t: t.drop(columns="x_m"), "column longitude_deg (or x_m and y_m) is missing"),
@@ -216,18 +216,18 @@ Change = Callable[[pd.DataFrame], pd.DataFrame]
         (lambda t: t.head(0), "holds no usable ping"),
     ],
 )
-def test_a_table_that_is_not_one_of_pings_is_refused_in_a_sentence(tmp_path: Path, change: Change, told: str):
+def test_a_table_that_is_not_one_of_pings_is_refused_in_a_sentence(tmp_path: Path, change: Change, cause: str):
     sentence = refusal(parquet(tmp_path / "raw.parquet", change(rows())))
-    assert told in sentence
+    assert cause in sentence
     assert "raw.parquet" in sentence
 
 
 def test_heights_of_lakes_and_of_ground_far_above_the_sea_are_good_where_no_sonar_says_how_deep_it_was(tmp_path: Path):
     points = "x,y,elevation\n500000,6000000,{0}\n500001,6000001,{0}\n500002,6000000,9500\n"
     (tmp_path / "a.xyz").write_text(points.format(3812.5))
-    found = read_whole(tmp_path / "a.xyz")
-    assert found.soundings["quality"].to_list() == [0, 0, IMPOSSIBLE]
-    assert found.report["depth_m"] == pytest.approx([-3812.5] * 4, abs=0.01)
+    survey = read_whole(tmp_path / "a.xyz")
+    assert survey.soundings["quality"].to_list() == [0, 0, IMPOSSIBLE]
+    assert survey.report["depth_m"] == pytest.approx([-3812.5] * 4, abs=0.01)
     pose = "VIEWPOINT 0 0 150 0.6 0 0 0.8\n"
     fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\n"
     (tmp_path / "a.pcd").write_text(f"{fields}{pose}POINTS 2\nDATA ascii\n10 0 -2\n0 3 -2\n")
@@ -331,9 +331,9 @@ def test_a_run_of_wild_positions_is_off_the_track(tmp_path: Path, wild: slice):
     clean = read(tmp_path, raw)
     lost = np.isin(np.repeat(np.arange(60), 5), np.arange(60)[wild])
     raw.loc[lost, ["longitude_deg", "latitude_deg"]] = 0.0
-    found = read(tmp_path, raw)
-    assert found.report["skipped"]["pings far off the track"] == lost.sum() / 5
-    assert track_length(found.pings) == pytest.approx(track_length(clean.pings), rel=0.06)
+    survey = read(tmp_path, raw)
+    assert survey.report["skipped"]["pings far off the track"] == lost.sum() / 5
+    assert track_length(survey.pings) == pytest.approx(track_length(clean.pings), rel=0.06)
 
 
 def test_pings_without_a_time_are_no_points_and_milliseconds_no_seconds(tmp_path: Path):

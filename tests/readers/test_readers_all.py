@@ -278,23 +278,23 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     """Return the bytes with some flipped, overwritten, taken out, put in or cut off."""
     changed = bytearray(content)
     for _ in range(rng.integers(1, 5)):
-        at, count = int(rng.integers(len(changed))), int(rng.integers(1, 60))
+        offset, count = int(rng.integers(len(changed))), int(rng.integers(1, 60))
         match rng.integers(5):
             case 0:
-                changed[at] ^= 1 << int(rng.integers(8))
+                changed[offset] ^= 1 << int(rng.integers(8))
             case 1:
-                changed[at : at + count] = rng.integers(0, 256, count, dtype=np.uint8).tobytes()
+                changed[offset : offset + count] = rng.integers(0, 256, count, dtype=np.uint8).tobytes()
             case 2:
-                del changed[at : at + count]
+                del changed[offset : offset + count]
             case 3:
-                changed[at:at] = bytes(count)
+                changed[offset:offset] = bytes(count)
             case _:
-                del changed[max(at, 1) :]
+                del changed[max(offset, 1) :]
     return bytes(changed)
 
 
 def test_mutated_files_end_in_a_sentence_or_say_what_was_lost(tmp_path: Path):
-    rng, whole = np.random.default_rng(0), len(all_files.survey(6))
+    rng, size = np.random.default_rng(0), len(all_files.survey(6))
     lost = 0
     for number in range(400):
         content = mutated(all_files.survey(6, "<>"[number % 2]), rng)
@@ -306,7 +306,7 @@ def test_mutated_files_end_in_a_sentence_or_say_what_was_lost(tmp_path: Path):
         np.testing.assert_allclose(depth(recording), np.tile(SEABED + 1.5, len(recording.pings)))
         if len(recording.pings) < 6:
             lost += 1
-            assert recording.problems or len(content) < whole
+            assert recording.problems or len(content) < size
     assert lost > 50
 
 
@@ -346,8 +346,8 @@ def disagreement(recording: Recording, cell_m: float, side: int) -> float:
     east = x[ping] + across * np.cos(heading) + along * np.sin(heading)
     north = y[ping] - across * np.sin(heading) + along * np.cos(heading)
     table = pd.DataFrame({"x": east // cell_m, "y": north // cell_m, "ping": ping, "z": depth(recording)})
-    each = table.groupby(["x", "y", "ping"])["z"].median()
-    return float(each.groupby(level=["x", "y"]).std().median())
+    medians = table.groupby(["x", "y", "ping"])["z"].median()
+    return float(medians.groupby(level=["x", "y"]).std().median())
 
 
 @real
@@ -385,7 +385,7 @@ def test_the_race_of_readers_is_over_a_file_repeated_in_whole(tmp_path: Path):
     words = ["--source", str(tmp_path / "small.all"), "--megabytes", str(2.5e-6 * len(content)), "--repetitions", "1"]
     script = Path(__file__).parents[2] / "benchmarks/readers_all.py"
     result = subprocess.run([sys.executable, script, *words], capture_output=True, text=True, check=True)
-    found = json.loads(result.stdout.splitlines()[-1])
-    assert found["bytes"] == 3 * len(content)
-    assert found["ours"]["soundings"] == 3 * 6 * len(ACROSS)
-    assert found["ours"]["depth"] == pytest.approx(3 * 6 * SEABED.sum())
+    report = json.loads(result.stdout.splitlines()[-1])
+    assert report["bytes"] == 3 * len(content)
+    assert report["ours"]["soundings"] == 3 * 6 * len(ACROSS)
+    assert report["ours"]["depth"] == pytest.approx(3 * 6 * SEABED.sum())

@@ -20,16 +20,18 @@ RAW = rows(pings=60, beams=7).assign(down_m=np.random.default_rng(0).normal(30, 
 def joined(parts: Sequence[Recording]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the pings and soundings of all parts, numbered through."""
     first = np.cumsum([0, *(len(part.pings) for part in parts)])
-    soundings = [p.soundings.assign(ping=p.soundings["ping"] + at) for p, at in zip(parts, first, strict=False)]
+    soundings = [
+        p.soundings.assign(ping=p.soundings["ping"] + first_ping) for p, first_ping in zip(parts, first, strict=False)
+    ]
     return pd.concat([p.pings for p in parts], ignore_index=True), pd.concat(soundings, ignore_index=True)
 
 
-def written(path: Path, table: pd.DataFrame, **how: int) -> Path:
+def written(path: Path, table: pd.DataFrame, **options: int) -> Path:
     """Write pings as Parquet or CSV, by the name."""
     if path.suffix == ".csv":
         table.to_csv(path, index=False)
     else:
-        pq.write_table(pa.Table.from_pandas(table, preserve_index=False), path, **how)
+        pq.write_table(pa.Table.from_pandas(table, preserve_index=False), path, **options)
     return path
 
 
@@ -46,12 +48,12 @@ def test_a_file_in_blocks_has_the_pings_of_the_file_at_once(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ):
     path = written(tmp_path / name, RAW, row_group_size=33)
-    (whole,) = generic.read(path)
+    (expected_part,) = generic.read(path)
     request.getfixturevalue("small_blocks")
     parts = list(generic.read(path))
     assert len(parts) > 4
-    for found, expected in zip(joined(parts), (whole.pings, whole.soundings), strict=True):
-        pd.testing.assert_frame_equal(found, expected, check_exact=True)
+    for table, expected in zip(joined(parts), (expected_part.pings, expected_part.soundings), strict=True):
+        pd.testing.assert_frame_equal(table, expected, check_exact=True)
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -60,8 +62,8 @@ def test_rows_that_go_back_in_time_are_counted_over_all_blocks(tmp_path: Path):
     parts = list(generic.read(written(tmp_path / "a.parquet", mixed)))
     assert sum(len(part.soundings) for part in parts) == 420
     early = int((np.diff(mixed["time_s"]) < 0).sum())
-    told = [problem for part in parts for problem in part.problems]
-    assert told == [f"a.parquet: its rows went back in time {early} times, and were sorted"]
+    problems = [problem for part in parts for problem in part.problems]
+    assert problems == [f"a.parquet: its rows went back in time {early} times, and were sorted"]
 
 
 @pytest.mark.usefixtures("small_blocks")

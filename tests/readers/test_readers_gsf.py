@@ -141,8 +141,8 @@ def test_a_beam_without_a_depth_or_place_is_impossible_but_a_single_one_looks_st
     assert (
         only(written(tmp_path / "b.gsf", made.swath(0, parts[:2]))).soundings["quality"].ne(0).sum() == 21
     )  # no place across track
-    one = made.swath(0, [parts[0], made.array(1, np.array([45.0])), made.part(212, bytes(8))], beams=1)
-    recording = only(written(tmp_path / "c.gsf", one))
+    single_beam = made.swath(0, [parts[0], made.array(1, np.array([45.0])), made.part(212, bytes(8))], beams=1)
+    recording = only(written(tmp_path / "c.gsf", single_beam))
     assert list(recording.soundings["quality"]) == [0]
     assert recording.sensor == "Navisound"
 
@@ -183,8 +183,10 @@ def test_the_sensor_is_named_by_the_part_that_is_its_own(tmp_path: Path, kind: i
 
 
 def test_what_depths_are_below_and_which_corrections_are_left_is_told(tmp_path: Path):
-    known = made.parameters(TIDAL_DATUM="MLLW", TIDE_COMPENSATED="YES", DRAFT_TO_APPLY="+01.20", ROLL_TO_APPLY="+00.00")
-    recording = only(written(tmp_path / "a.gsf", known, *pings()))
+    parameters = made.parameters(
+        TIDAL_DATUM="MLLW", TIDE_COMPENSATED="YES", DRAFT_TO_APPLY="+01.20", ROLL_TO_APPLY="+00.00"
+    )
+    recording = only(written(tmp_path / "a.gsf", parameters, *pings()))
     assert recording.vertical == "below MLLW; tide applied"
     assert [problem for problem in recording.problems if "DRAFT_TO_APPLY +01.20)" in problem]
     assert only(written(tmp_path / "b.gsf", *pings())).vertical == "below the water line; tide not applied"
@@ -193,7 +195,7 @@ def test_what_depths_are_below_and_which_corrections_are_left_is_told(tmp_path: 
 
 def test_parts_are_the_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = written(tmp_path / "small.gsf", *pings(), head=made.header() + bytes(50))
-    whole = only(path)
+    expected = only(path)
     monkeypatch.setattr(gsf, "PART", 100)
     parts = list(gsf.read(path))
     assert [len(part.pings) for part in parts] == [5, 5, 2]
@@ -201,7 +203,7 @@ def test_parts_are_the_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert all(set(part.soundings["ping"]) == set(range(len(part.pings))) for part in parts)
     columns = ["beam", "along_m", "across_m", "down_m", "quality"]
     joined = pd.concat([part.soundings[columns] for part in parts], ignore_index=True)
-    pd.testing.assert_frame_equal(joined, whole.soundings[columns])
+    pd.testing.assert_frame_equal(joined, expected.soundings[columns])
 
 
 def test_a_file_is_known_by_its_content_whatever_its_name(tmp_path: Path):
@@ -264,7 +266,7 @@ def test_depths_are_not_read_with_scale_factors_that_may_be_lost(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("parts", "told"),
+    ("parts", "cause"),
     [
         ([made.part(100, b"\0\0\0\5")], "scale factors are cut off"),
         ([made.scale_factors({1: (0, 0)})], "is zero"),
@@ -273,10 +275,10 @@ def test_depths_are_not_read_with_scale_factors_that_may_be_lost(tmp_path: Path)
         ([made.scale_factors(made.SCALES)], "no depths"),
     ],
 )
-def test_a_ping_that_contradicts_itself_is_not_read(tmp_path: Path, parts: list[bytes], told: str):
+def test_a_ping_that_contradicts_itself_is_not_read(tmp_path: Path, parts: list[bytes], cause: str):
     recording = only(written(tmp_path / "small.gsf", made.swath(0, parts), made.swath(1)))
     assert recording.skipped == {"unreadable pings": 1}
-    assert told in recording.problems[0]
+    assert cause in recording.problems[0]
     assert len(recording.pings) == 1
 
 
@@ -295,18 +297,18 @@ def test_mutated_files_end_in_a_sentence_or_in_finite_soundings(tmp_path: Path):
     rng, path = np.random.default_rng(0), tmp_path / "mutated.gsf"
     sources = [written(tmp_path / "a.gsf", made.parameters(A="1"), *pings(4), made.single_beam()).read_bytes()]
     sources += [(GSF / name).read_bytes()[:30_000] for name in REAL[1:] if GSF.exists()]
-    told = 0
+    reported = 0
     for number in range(400):
         path.write_bytes(corrupted(sources[number % len(sources)], rng))
         try:
             recording = only(path)
         except gsf.GsfError:
-            told += 1
+            reported += 1
             continue
         assert np.isfinite(recording.soundings.to_numpy(float)).all()
         assert recording.soundings["ping"].isin(recording.pings.index).all()
-        told += bool(recording.problems)
-    assert 50 < told < 400
+        reported += bool(recording.problems)
+    assert 50 < reported < 400
 
 
 def test_garbage_behind_a_good_beginning_does_not_hang(tmp_path: Path):
@@ -417,8 +419,8 @@ def assert_same_as_the_library(path: Path) -> None:
             flags = (np.array(theirs.beam_flags[:count]) & 1) != 0 if theirs.beam_flags else None
             tests = np.array(theirs.quality_flags[:count]) == 0 if theirs.quality_flags else None
             assert np.array_equal(ours["quality"] == REJECTED, tests if flags is None else flags)
-            known = theirs.depth_corrector != 99.99
-            assert ping["depth_m"] == (max(0.0, theirs.depth_corrector) if known else 0.0)
+            corrected = theirs.depth_corrector != 99.99
+            assert ping["depth_m"] == (max(0.0, theirs.depth_corrector) if corrected else 0.0)
             time = theirs.ping_time.tv_sec + theirs.ping_time.tv_nsec / 1e9
             # gsfpy has the names of the library's two fields the wrong way round: no latitude is 167 degrees
             assert (ping["time_s"], ping["east"], ping["north"]) == (time, theirs.latitude, theirs.longitude)
@@ -433,10 +435,10 @@ def test_the_race_of_readers_ends_in_its_numbers(tmp_path: Path):
     command = [sys.executable, "benchmarks/readers_gsf.py", *words]
     result = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    found = json.loads(result.stdout.splitlines()[-1])
-    assert found["bytes"] >= 50_000
-    assert found["ours"]["soundings"] % (3 * 21) == 0
-    assert found["ratio_ours"] == 1
+    report = json.loads(result.stdout.splitlines()[-1])
+    assert report["bytes"] >= 50_000
+    assert report["ours"]["soundings"] % (3 * 21) == 0
+    assert report["ratio_ours"] == 1
 
 
 @real
@@ -444,10 +446,10 @@ def test_the_race_of_readers_ends_in_its_numbers(tmp_path: Path):
 def test_soundings_lie_where_a_geodesic_from_the_ping_leads(name: str):
     survey, recording = whole_survey.read(GSF / name), only(GSF / name)
     table = recording.soundings
-    at = recording.pings.iloc[table["ping"]]
-    azimuth = np.rad2deg(at["heading_rad"].to_numpy() + np.arctan2(table["across_m"], table["along_m"]))
+    ping = recording.pings.iloc[table["ping"]]
+    azimuth = np.rad2deg(ping["heading_rad"].to_numpy() + np.arctan2(table["across_m"], table["along_m"]))
     away = np.hypot(table["across_m"], table["along_m"])
-    east, north, _ = Geod(ellps="WGS84").fwd(at["east"], at["north"], azimuth, away)
+    east, north, _ = Geod(ellps="WGS84").fwd(ping["east"], ping["north"], azimuth, away)
     x, y = Transformer.from_crs("EPSG:4326", survey.crs, always_xy=True).transform(east, north)
     off = np.hypot(survey.soundings["x_m"] + survey.origin[0] - x, survey.soundings["y_m"] + survey.origin[1] - y)
     assert (off < 0.01 + 2e-5 * away).all()  # a map turns and stretches a little from one end of a swath to the other
@@ -459,13 +461,13 @@ def disagreement(survey: Whole, mirrored: bool) -> float:
     pings = survey.pings.iloc[soundings["ping"]]
     x, y = (soundings[name].to_numpy() - pings[name].to_numpy() for name in ("x_m", "y_m"))
     yaw = pings["yaw_rad"].to_numpy()
-    along, left = x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
-    left = -left if mirrored else left
-    x = pings["x_m"].to_numpy() + along * np.cos(yaw) - left * np.sin(yaw)
-    y = pings["y_m"].to_numpy() + along * np.sin(yaw) + left * np.cos(yaw)
+    along, port = x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
+    port = -port if mirrored else port
+    x = pings["x_m"].to_numpy() + along * np.cos(yaw) - port * np.sin(yaw)
+    y = pings["y_m"].to_numpy() + along * np.sin(yaw) + port * np.cos(yaw)
     table = soundings.assign(cell_x=x // 50, cell_y=y // 50)
-    each = table.groupby(["cell_x", "cell_y", "ping"])["z_m"].median()
-    return float(each.groupby(level=["cell_x", "cell_y"]).std().median())
+    medians = table.groupby(["cell_x", "cell_y", "ping"])["z_m"].median()
+    return float(medians.groupby(level=["cell_x", "cell_y"]).std().median())
 
 
 @real

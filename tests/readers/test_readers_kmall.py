@@ -71,10 +71,10 @@ def test_what_a_newer_revision_adds_to_a_block_is_passed_over(tmp_path: Path, bl
     longer = [0] * 6
     longer[block] = 8
     fields: dict[str, Any] = {"extra": 4, "classes": 2, "sectors": 2}
-    known = read(tmp_path, ping(**fields))
+    expected = read(tmp_path, ping(**fields))
     newer = read(tmp_path, ping(version=9, longer=longer, **fields))
-    pd.testing.assert_frame_equal(newer.soundings, known.soundings)
-    pd.testing.assert_frame_equal(newer.pings, known.pings)
+    pd.testing.assert_frame_equal(newer.soundings, expected.soundings)
+    pd.testing.assert_frame_equal(newer.pings, expected.pings)
 
 
 def test_the_first_revision_has_a_shorter_block_for_the_ping(tmp_path: Path):
@@ -108,14 +108,16 @@ def test_a_ping_logged_in_packets_is_put_together(tmp_path: Path, version: int):
     recording = read(tmp_path, sent[0], attitude(), *sent[1:], ping(TIME_S + 1))
     assert len(recording.pings) == 2
     assert recording.soundings["quality"].eq(0).all()
-    whole = read(tmp_path, ping())
-    pd.testing.assert_frame_equal(recording.soundings[:21], whole.soundings)
+    expected = read(tmp_path, ping())
+    pd.testing.assert_frame_equal(recording.soundings[:21], expected.soundings)
 
 
 def test_a_search_after_damage_does_not_read_on_from_every_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     looked: list[int] = []
     window_read = Window.read
-    monkeypatch.setattr(Window, "read", lambda self, at, n: looked.append(n) or window_read(self, at, n))
+    monkeypatch.setattr(
+        Window, "read", lambda self, offset, count: looked.append(count) or window_read(self, offset, count)
+    )
     marks = b"\0\0\1\0#MRZ" * 50_000  # each would be a ping of 64 kB
     recording = read(tmp_path, marks, ping())
     assert recording.skipped == {"pings in damaged bytes": 50_000}
@@ -134,8 +136,8 @@ def test_a_ping_of_which_a_packet_is_missing_is_counted_once(tmp_path: Path, los
 
 
 def test_packets_of_two_pings_are_not_mixed(tmp_path: Path):
-    one, other = (packets(body(soundings()), 3, 3, TIME_S + number) for number in range(2))
-    recording = read(tmp_path, one[0], *other[1:])
+    first, second = (packets(body(soundings()), 3, 3, TIME_S + number) for number in range(2))
+    recording = read(tmp_path, first[0], *second[1:])
     assert len(recording.pings) == 0
     assert recording.skipped == {"pings of which a part is missing": 2}
 
@@ -181,7 +183,7 @@ def test_damage_between_datagrams_costs_only_what_it_hit(tmp_path: Path):
 
 
 def test_a_mark_on_the_edge_of_a_stretch_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(kmall.kmall_datagrams, "_STRETCH", 64)
+    monkeypatch.setattr("pointnetkl.readers.formats.window._SEARCHED", 64)
     for lead in range(1, 140):
         recording = read(tmp_path, b"\xff" * lead, ping(), b"\xff" * lead)
         assert len(recording.pings) == 1
@@ -258,15 +260,15 @@ def test_a_file_is_handed_over_in_parts_that_are_the_whole(tmp_path: Path, monke
     lines = [(ping(TIME_S + number), attitude(TIME_S + number, rate=5.0)) for number in range(40)]
     again = [ping(TIME_S + 50 + step) for step in np.linspace(-0.4, 0.4, 9)]
     content = [installation(), *itertools.chain(*lines), attitude(TIME_S + 50, rate=5.0), *again]
-    whole = read(tmp_path, *content)
+    expected = read(tmp_path, *content)
     monkeypatch.setattr(kmall, "PART", 400)
-    some = parts(tmp_path, *content)
-    assert len(some) > 5
-    assert max(len(part.soundings) for part in some) <= 121
-    pd.testing.assert_frame_equal(pd.concat([part.pings for part in some], ignore_index=True), whole.pings)
-    columns = [part.soundings.drop(columns="ping") for part in some]
-    pd.testing.assert_frame_equal(pd.concat(columns, ignore_index=True), whole.soundings.drop(columns="ping"))
-    assert {part.sensor for part in some} == {whole.sensor}
+    several = parts(tmp_path, *content)
+    assert len(several) > 5
+    assert max(len(part.soundings) for part in several) <= 121
+    pd.testing.assert_frame_equal(pd.concat([part.pings for part in several], ignore_index=True), expected.pings)
+    columns = [part.soundings.drop(columns="ping") for part in several]
+    pd.testing.assert_frame_equal(pd.concat(columns, ignore_index=True), expected.soundings.drop(columns="ping"))
+    assert {part.sensor for part in several} == {expected.sensor}
 
 
 def test_pings_without_soundings_do_not_pile_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -375,12 +377,12 @@ def test_the_water_line_is_where_it_puts_the_transducer_at_its_own_depth(path: P
 @pytest.mark.filterwarnings("error")
 def test_a_damaged_file_gives_finite_soundings_or_a_sentence(path: Path, tmp_path: Path):
     content = path.read_bytes()[:60_000]
-    marks = [at for at in range(len(content)) if content[at : at + 4] in (b"#MRZ", b"#SKM", b"#IIP")]
+    marks = [offset for offset in range(len(content)) if content[offset : offset + 4] in (b"#MRZ", b"#SKM", b"#IIP")]
     rng = np.random.default_rng(3)
     for _ in range(150):
         damaged = bytearray(content[: int(rng.integers(10_000, len(content)))])
-        for at in [*rng.integers(0, len(damaged), 8), *(rng.choice(marks, 4) + rng.integers(-4, 280, 4))]:
-            damaged[min(int(at), len(damaged) - 1)] = rng.choice([0, 1, 127, 128, 255, rng.integers(256)])
+        for offset in [*rng.integers(0, len(damaged), 8), *(rng.choice(marks, 4) + rng.integers(-4, 280, 4))]:
+            damaged[min(int(offset), len(damaged) - 1)] = rng.choice([0, 1, 127, 128, 255, rng.integers(256)])
         try:
             read_parts = parts(tmp_path, bytes(damaged))
         except kmall.KmallError:

@@ -35,8 +35,8 @@ def read(path: Path) -> Recording:
 def changed(path: Path, *patches: tuple[int, str, float]) -> Path:
     """Put numbers into a file, each at its byte."""
     content = bytearray(path.read_bytes())
-    for at, form, value in patches:
-        struct.pack_into(form, content, at, value)
+    for offset, form, value in patches:
+        struct.pack_into(form, content, offset, value)
     path.write_bytes(content)
     return path
 
@@ -88,7 +88,7 @@ def test_heights_above_zero_are_depths_unless_a_vertical_crs_says_otherwise(tmp_
 
 
 @pytest.mark.parametrize(
-    ("keys", "up_m", "told"),
+    ("keys", "up_m", "cause"),
     [
         ({4096: 5703}, 5.0, "NAVD88 height"),
         ({4096: 5715}, -5.0, "MSL depth"),
@@ -102,7 +102,7 @@ def test_heights_above_zero_are_depths_unless_a_vertical_crs_says_otherwise(tmp_
 )
 @pytest.mark.parametrize("level", [3072, None])
 def test_the_vertical_key_says_which_way_heights_count_and_in_which_unit(
-    tmp_path: Path, level: int | None, keys: dict[int, int], up_m: float, told: str
+    tmp_path: Path, level: int | None, keys: dict[int, int], up_m: float, cause: str
 ):
     path = tmp_path / "a.las"
     entries = ({3072: 26916} if level else {}) | keys
@@ -115,7 +115,7 @@ def test_the_vertical_key_says_which_way_heights_count_and_in_which_unit(
     part = read(path)
     assert part.crs == ("EPSG:26916" if level else projection.LOCAL)
     assert part.soundings["up_m"].to_list() == pytest.approx([up_m, up_m], abs=1e-9)
-    assert part.vertical.startswith(told)
+    assert part.vertical.startswith(cause)
 
 
 def test_heights_of_a_crs_of_three_axes_are_up(tmp_path: Path):
@@ -171,8 +171,8 @@ def test_a_file_may_be_in_degrees_or_say_nothing_of_its_place(tmp_path: Path):
 def test_a_damaged_chunk_costs_no_other(tmp_path: Path, kind: int):
     path = write(tmp_path / "a.laz", 120_000, kind)
     content = bytearray(path.read_bytes())
-    at = struct.unpack_from("<I", content, 96)[0] + 8 + 100 + (len(content) // 2 if kind == 1 else 0)
-    content[at : at + 40] = bytes(40)
+    offset = struct.unpack_from("<I", content, 96)[0] + 8 + 100 + (len(content) // 2 if kind == 1 else 0)
+    content[offset : offset + 40] = bytes(40)
     path.write_bytes(content)
     parts = list(las.read(path))
     assert sum(len(part.soundings) for part in parts) == 70_000
@@ -218,8 +218,8 @@ def test_chunks_may_be_of_any_size(tmp_path: Path, kind: int):
     np.testing.assert_allclose(part.soundings[["east", "north", "up_m"]], expected, rtol=0, atol=1e-9)
     assert not part.problems
     content = bytearray(path.read_bytes())
-    at = struct.unpack_from("<I", content, 96)[0] + 8 + 40
-    content[at : at + 60] = bytes(60)
+    offset = struct.unpack_from("<I", content, 96)[0] + 8 + 40
+    content[offset : offset + 60] = bytes(60)
     path.write_bytes(content)
     damaged = read(path)
     np.testing.assert_allclose(damaged.soundings[["east", "north", "up_m"]], expected[100:], rtol=0, atol=1e-9)
@@ -257,7 +257,7 @@ def test_points_beyond_the_stated_bounds_are_impossible_unless_most_are(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("patch", "told"),
+    ("patch", "cause"),
     [
         ((0, "<I", 0), "must begin with LASF"),
         ((24, "<B", 7), "version 7"),
@@ -267,8 +267,8 @@ def test_points_beyond_the_stated_bounds_are_impossible_unless_most_are(tmp_path
         ((131, "<d", float("nan")), "give no coordinates"),
     ],
 )
-def test_a_head_that_contradicts_itself_is_refused_in_a_sentence(tmp_path: Path, patch: tuple, told: str):
-    with pytest.raises(LasError, match=told) as caught:
+def test_a_head_that_contradicts_itself_is_refused_in_a_sentence(tmp_path: Path, patch: tuple, cause: str):
+    with pytest.raises(LasError, match=cause) as caught:
         read(changed(write(tmp_path / "a.las"), patch))
     assert str(tmp_path / "a.las") in str(caught.value)
     assert "\n" not in str(caught.value)

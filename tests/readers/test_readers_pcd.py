@@ -89,7 +89,7 @@ def test_points_that_are_not_numbers_are_counted(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "cause"),
     [
         ("POINTS 400", "POINTS 4000000000", "do not fit"),
         ("POINTS 400", "POINTS -4", "do not fit|says -4"),
@@ -100,10 +100,10 @@ def test_points_that_are_not_numbers_are_counted(tmp_path: Path):
         ("0.96", "0.5", "has not length 1"),
     ],
 )
-def test_a_head_that_is_not_true_is_refused_in_a_sentence(tmp_path: Path, old: str, new: str, told: str):
+def test_a_head_that_is_not_true_is_refused_in_a_sentence(tmp_path: Path, old: str, new: str, cause: str):
     path = write(tmp_path / "a.pcd", "compressed")
     path.write_bytes(path.read_bytes().replace(old.encode(), new.encode()))
-    with pytest.raises(PcdError, match=told) as caught:
+    with pytest.raises(PcdError, match=cause) as caught:
         list(pcd.read(path))
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)

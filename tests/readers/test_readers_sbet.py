@@ -52,10 +52,10 @@ def test_over_a_week_s_end_times_go_on_or_begin_again(tmp_path: Path, again: boo
 
 def test_a_file_tells_the_second_of_the_week_and_not_the_week(tmp_path: Path):
     time = 604_800 + np.arange(-200, 200) / 50
-    held = sbet.read_week(write(tmp_path / "a.sbet", records(np.mod(time, 604_800))))
-    np.testing.assert_allclose(held.time_s, time)
-    held = sbet.read_week(write(tmp_path / "a.sbet", records(604_800 + np.arange(100) / 50)))
-    np.testing.assert_allclose(held.time_s, np.arange(100) / 50, atol=1e-9)
+    navigation = sbet.read_week(write(tmp_path / "a.sbet", records(np.mod(time, 604_800))))
+    np.testing.assert_allclose(navigation.time_s, time)
+    navigation = sbet.read_week(write(tmp_path / "a.sbet", records(604_800 + np.arange(100) / 50)))
+    np.testing.assert_allclose(navigation.time_s, np.arange(100) / 50, atol=1e-9)
 
 
 def test_seconds_of_the_week_may_be_utc_s(tmp_path: Path):
@@ -110,8 +110,8 @@ def test_mutated_files_end_in_a_sentence_or_in_finite_navigation(tmp_path: Path)
     content = records(OF_WEEK_S + np.arange(50) / 100).tobytes()
     for _ in range(500):
         changed = bytearray(content)
-        for at in rng.integers(0, len(changed), rng.integers(1, 40)):
-            changed[at] = rng.integers(0, 256)
+        for offset in rng.integers(0, len(changed), rng.integers(1, 40)):
+            changed[offset] = rng.integers(0, 256)
         del changed[int(rng.integers(0, 2 * len(changed))) :]
         path.write_bytes(changed)
         sbet.begins(bytes(changed[:4096]))

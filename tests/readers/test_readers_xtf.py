@@ -57,12 +57,12 @@ def distances(ship: Ship, part: Recording) -> np.ndarray:
     away = []
     for row, ping in enumerate(part.pings.itertuples()):
         places = ship.echoes(round(2 * (ping.time_s - BEGIN)) / 2 + BEGIN)[2]
-        found = part.soundings[part.soundings["ping"] == row]
-        along, across = found["along_m"].to_numpy(), found["across_m"].to_numpy()
+        soundings = part.soundings[part.soundings["ping"] == row]
+        along, across = soundings["along_m"].to_numpy(), soundings["across_m"].to_numpy()
         cos, sin = np.cos(ping.heading_rad), np.sin(ping.heading_rad)
         north = ping.north * 110_574.3 + along * cos - across * sin
         east = (ping.east - EAST) * DEGREE_M + along * sin + across * cos
-        away.append(np.stack([north, east, ping.depth_m + found["down_m"].to_numpy()], 1) - places)
+        away.append(np.stack([north, east, ping.depth_m + soundings["down_m"].to_numpy()], 1) - places)
     return np.array(away)
 
 
@@ -365,18 +365,18 @@ def test_a_file_that_was_cut_off_gives_what_stands_before(tmp_path: Path):
 
 
 def test_a_damaged_length_or_mark_costs_its_packet_alone(tmp_path: Path):
-    for at, value in ((10, b"\xff\xff\xff\x7f"), (10, b"\x20\0\0\0"), (0, b"\0"), (11, b"\x07")):
+    for offset, value in ((10, b"\xff\xff\xff\x7f"), (10, b"\x20\0\0\0"), (0, b"\0"), (11, b"\x07")):
         second = bytearray(fan(BEGIN + 2))
-        second[at : at + len(value)] = value
+        second[offset : offset + len(value)] = value
         part = still(tmp_path / "a.xtf", fan(BEGIN), fan(), bytes(second), fan(BEGIN + 3))
         assert list(part.pings["time_s"] - BEGIN) == [0, 1, 3]
         assert f"{len(second)} bytes from byte" in part.problems[0]
 
 
 def test_sections_of_a_ping_that_do_not_fit_cost_the_ping(tmp_path: Path):
-    for at, value in ((256 + 4, 60_000_000), (256 + 12 + 2, 0), (256 + 12 + 112, 0xFFFFFFFF)):
+    for offset, value in ((256 + 4, 60_000_000), (256 + 12 + 2, 0), (256 + 12 + 112, 0xFFFFFFFF)):
         broken = bytearray(fan(BEGIN + 2))
-        struct.pack_into(">I", broken, at, value)
+        struct.pack_into(">I", broken, offset, value)
         part = still(tmp_path / "a.xtf", fan(), bytes(broken))
         assert len(part.pings) == 1
         assert part.skipped == {"pings that cannot be used": 1}
@@ -416,15 +416,15 @@ def test_a_header_of_several_blocks_is_passed(tmp_path: Path):
 
 def test_parts_hold_what_one_part_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.xtf"
-    whole = recorded(path, xtf_files.survey(Ship()))
+    expected = recorded(path, xtf_files.survey(Ship()))
     monkeypatch.setattr(xtf, "PART", 100)
     monkeypatch.setattr(xtf, "_BATCH", 60)
     parts = list(xtf.read(path))
     assert len(parts) > 2
-    pd.testing.assert_frame_equal(pd.concat([part.pings for part in parts], ignore_index=True), whole.pings)
+    pd.testing.assert_frame_equal(pd.concat([part.pings for part in parts], ignore_index=True), expected.pings)
     columns = ["beam", "along_m", "across_m", "down_m", "quality"]
     together = pd.concat([part.soundings[columns] for part in parts], ignore_index=True)
-    pd.testing.assert_frame_equal(together, whole.soundings[columns])
+    pd.testing.assert_frame_equal(together, expected.soundings[columns])
 
 
 def test_damaged_files_end_in_a_sentence_or_in_finite_soundings(tmp_path: Path):
@@ -461,8 +461,8 @@ def disagreement(part: Recording) -> float:
     """Return the median over cells of 1 m of the spread in depth between runs of 40 pings, metres."""
     table = seabed(part)
     cells = [table["east"] // 1, table["north"] // 1, table["ping"] // 40]
-    each = table["down_m"].groupby(cells).mean()
-    return float(each.groupby(level=[0, 1]).std().median())
+    means = table["down_m"].groupby(cells).mean()
+    return float(means.groupby(level=[0, 1]).std().median())
 
 
 @pytest.fixture(scope="module")
@@ -490,10 +490,10 @@ def test_neighbouring_pings_of_the_real_survey_agree_and_would_not_with_a_wrong_
 
     def turned(**signs: float) -> float:
         def motion(streams: xtf_streams.Streams, time: np.ndarray) -> raytrace.Motion:
-            found = known(streams, time)
-            return replace(found, **{name: sign * getattr(found, name) for name, sign in signs.items()})
+            true_motion = original(streams, time)
+            return replace(true_motion, **{name: sign * getattr(true_motion, name) for name, sign in signs.items()})
 
-        known = xtf_streams.Streams.motion
+        original = xtf_streams.Streams.motion
         with monkeypatch.context() as changed:
             changed.setattr(xtf_streams.Streams, "motion", motion)
             (part,) = xtf.read(PIER)
@@ -503,10 +503,10 @@ def test_neighbouring_pings_of_the_real_survey_agree_and_would_not_with_a_wrong_
     assert turned(roll=0) > 2 * right
     assert turned(heave=-1) > 1.2 * right
     with monkeypatch.context() as changed:
-        whole = r2sonic.fan
+        original = r2sonic.fan
 
         def mirrored(content: bytes) -> r2sonic.Fan | str:
-            fan = whole(content)
+            fan = original(content)
             return fan if isinstance(fan, str) else replace(fan, angle=-fan.angle)
 
         changed.setitem(xtf._DECODERS, 65, mirrored)
@@ -523,9 +523,9 @@ def test_the_real_seabed_is_level_across_by_the_sonar_s_mounting_and_free_of_rol
         away = across - across.mean(1, keepdims=True)
         return np.rad2deg((away * down).sum(1) / (away**2).sum(1))
 
-    found, roll = slopes(pier), np.rad2deg(pier.pings["roll_rad"])
-    assert abs(found.mean()) < 0.1
-    assert abs(np.polyfit(roll, found, 1)[0]) < 0.01  # degrees of slope per degree of roll
+    tilts, roll = slopes(pier), np.rad2deg(pier.pings["roll_rad"])
+    assert abs(tilts.mean()) < 0.1
+    assert abs(np.polyfit(roll, tilts, 1)[0]) < 0.01  # degrees of slope per degree of roll
     header = xtf_packets.header
 
     def unturned(window: Window) -> FileHeader | None:

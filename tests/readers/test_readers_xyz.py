@@ -59,7 +59,7 @@ def test_points_are_the_same_however_they_are_written(tmp_path: Path, content: s
 
 
 def test_which_way_z_counts_is_by_its_name_else_by_its_sign_and_is_said(tmp_path: Path):
-    for content, up, told in (
+    for content, up, cause in (
         ("1 2 30\n", -30, "taken as depth, because most are above zero"),
         ("1 2 -30\n", -30, "taken as height, because most are not above zero"),
         ("x,y,depth\n1,2,30\n", -30, "z is depth by the name"),
@@ -69,7 +69,7 @@ def test_which_way_z_counts_is_by_its_name_else_by_its_sign_and_is_said(tmp_path
     ):
         part = read(tmp_path, content)
         assert places(part) == [[1.0, 2.0, pytest.approx(up)]]
-        assert told in part.vertical
+        assert cause in part.vertical
 
 
 def test_longitude_and_latitude_are_known_by_their_names(tmp_path: Path):
@@ -120,7 +120,7 @@ def test_a_large_text_is_read_in_parts_and_no_line_is_lost_between_blocks(
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "cause"),
     [
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "byte 0: begins with"),
         (b"some words and no number\n" * 50, "byte 0: begins with"),
@@ -130,8 +130,8 @@ def test_a_large_text_is_read_in_parts_and_no_line_is_lost_between_blocks(
         (b"ncols 3\nnrows 2\n1 2 3\n4 5 6\n", "is a grid in text"),
     ],
 )
-def test_what_is_no_text_of_points_is_refused_in_a_sentence(tmp_path: Path, content: bytes, told: str):
-    with pytest.raises(XyzError, match=told) as caught:
+def test_what_is_no_text_of_points_is_refused_in_a_sentence(tmp_path: Path, content: bytes, cause: str):
+    with pytest.raises(XyzError, match=cause) as caught:
         read(tmp_path, content)
     assert str(caught.value).startswith(str(tmp_path / "a.xyz"))
     assert str(caught.value).isprintable()

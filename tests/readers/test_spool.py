@@ -27,27 +27,27 @@ def lines(tmp_path: Path) -> Path:
 
 def test_a_survey_is_the_same_whoever_reads_its_files(lines: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(readers, "_SMALL_BYTES", 0)
-    found = []
+    surveys = []
     for workers in ("1", "2", "3"):
         monkeypatch.setenv("POINTNETKL_WORKERS", workers)
-        found.append(read(lines))
-    for other in found[1:]:
-        pd.testing.assert_frame_equal(other.pings, found[0].pings)
-        pd.testing.assert_frame_equal(other.soundings, found[0].soundings)
-        assert other.report == found[0].report
+        surveys.append(read(lines))
+    for other in surveys[1:]:
+        pd.testing.assert_frame_equal(other.pings, surveys[0].pings)
+        pd.testing.assert_frame_equal(other.soundings, surveys[0].soundings)
+        assert other.report == surveys[0].report
     names = ["line_2.all", "line_10.all", "line_1.all", "line_9.all"]
-    assert found[0].pings["file"].drop_duplicates().tolist() == names
-    assert found[0].pings["time_s"].is_monotonic_increasing
+    assert surveys[0].pings["file"].drop_duplicates().tolist() == names
+    assert surveys[0].pings["time_s"].is_monotonic_increasing
 
 
 def test_parts_of_any_size_make_the_same_survey(lines: Path, monkeypatch: pytest.MonkeyPatch):
-    whole = read(lines)
+    expected = read(lines)
     for size in (1, 50, 1000):
         for module in ("formats.kongsberg_all", "georeference"):
             monkeypatch.setattr(f"pointnetkl.readers.{module}.PART", size)
         again = read(lines)
-        pd.testing.assert_frame_equal(again.soundings, whole.soundings)
-        pd.testing.assert_frame_equal(again.pings, whole.pings)
+        pd.testing.assert_frame_equal(again.soundings, expected.soundings)
+        pd.testing.assert_frame_equal(again.pings, expected.pings)
 
 
 def test_pings_of_two_files_at_once_are_put_in_turns(tmp_path: Path):
@@ -55,10 +55,10 @@ def test_pings_of_two_files_at_once_are_put_in_turns(tmp_path: Path):
     odd = np.repeat(np.arange(20) % 2 == 1, 5)
     parquet(tmp_path / "port.parquet", table[odd])
     parquet(tmp_path / "starboard.parquet", table[~odd])
-    found = read(tmp_path)
-    assert found.pings["file"].tolist() == ["starboard.parquet", "port.parquet"] * 10
+    survey = read(tmp_path)
+    assert survey.pings["file"].tolist() == ["starboard.parquet", "port.parquet"] * 10
     parquet(tmp_path / "both.parquet", table)
-    pd.testing.assert_frame_equal(found.soundings, read(tmp_path / "both.parquet").soundings)
+    pd.testing.assert_frame_equal(survey.soundings, read(tmp_path / "both.parquet").soundings)
 
 
 def test_of_all_damage_of_a_survey_twenty_places_are_told_and_the_others_counted(tmp_path: Path, monkeypatch):

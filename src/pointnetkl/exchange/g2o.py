@@ -145,7 +145,7 @@ class _Reader:
         if len(rest) != (expected := named + _NUMBERS.get(tag, 0)):
             raise self._error(line, f"it has {len(rest)} words after {tag}, must have {expected}")
         try:
-            return tag, [text_lines.whole(word) for word in rest[:named]], text_lines.numbers(rest[named:])
+            return tag, [text_lines.whole_number(word) for word in rest[:named]], text_lines.numbers(rest[named:])
         except ValueError as error:
             raise self._error(line, str(error)) from error
 

@@ -1,4 +1,4 @@
-"""Facts of a raw file, None where a fact is unknown, and what its plots are drawn from."""
+"""Facts of a raw file, None where a fact is unknown, and the data of its plots."""
 
 import dataclasses
 import math

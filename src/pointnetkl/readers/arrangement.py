@@ -14,11 +14,8 @@ from pointnetkl.surveys.survey import SUBMAPS, SurveyError
 DEEPEST_M = 12_000.0  # no seabed is deeper
 
 _FASTEST_M_S, _JITTER_M = 100.0, 200.0  # a position farther off the track than this allows is damaged
-_ALIKE_SHARE, _ALIKE_M, _ALIKE_COS = (
-    0.1,
-    10.0,
-    0.995,
-)  # what processing may change: share of the swath's spread, place, cosine of the turn
+# what processing may change: share of the swath's spread, metres, cosine of a turn
+_ALIKE_SHARE, _ALIKE_M, _ALIKE_COS = 0.1, 10.0, 0.995
 _HEADS = 9  # pings at one time that are compared with one another
 
 
@@ -76,7 +73,7 @@ def usable(spools: Sequence[Spool], crs: str, kind: str, skipped: Counter[str]) 
 
 
 def reordered(spools: Sequence[Spool]) -> int:
-    """Return how many pings stand in their file after a later ping."""
+    """Return how many pings come after a later ping in their file."""
     times = (spool.pings["time_s"].to_numpy(np.float64) for spool in spools)
     finite = (time[np.isfinite(time)] for time in times)
     return sum(int(np.sum(time < np.maximum.accumulate(time))) for time in finite if len(time))

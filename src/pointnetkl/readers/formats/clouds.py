@@ -150,10 +150,7 @@ def pcd_layout(path: Path, content: bytes) -> tuple[Layout, int]:
         words = dict(line.split(None, 1) for line in lines if len(line.split()) > 1)
         names = words["FIELDS"].split()
         counts = words.get("COUNT", "1 " * len(names)).split()
-        kinds = [
-            type_name.lower() + size
-            for type_name, size in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)
-        ]
+        kinds = [kind.lower() + size for kind, size in zip(words["TYPE"].split(), words["SIZE"].split(), strict=True)]
         fields = [
             (f"{name}{index}" if name not in _AXES else name, f"<{kind}", int(count))
             for index, (name, kind, count) in enumerate(zip(names, kinds, counts, strict=True))
@@ -185,10 +182,8 @@ def uncompressed(path: Path, body: bytes, layout: Layout) -> np.ndarray:
         content = lzf.decompress(body[8 : 8 + packed], size)
     except ValueError as error:
         raise CloudFileError(f"{path}: {error}") from error
-    axes = []
-    for axis in axes_of(path, layout):
-        begin = _offset(layout.row, axis) * layout.rows
-        axes.append(np.frombuffer(content, layout.row[axis], layout.rows, begin).reshape(-1))
+    begins = {axis: _offset(layout.row, axis) * layout.rows for axis in axes_of(path, layout)}
+    axes = [np.frombuffer(content, layout.row[axis], layout.rows, begin).reshape(-1) for axis, begin in begins.items()]
     return np.column_stack(axes)
 
 

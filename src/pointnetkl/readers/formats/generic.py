@@ -23,17 +23,14 @@ from pointnetkl.surveys.survey import SurveyError
 from pointnetkl.workflow.errors import printable
 
 SUFFIXES = (".parquet", ".csv")
-
 _NEEDED = ("time_s", "depth_m", "heading_rad", "along_m", "across_m", "down_m")
 _OPTIONAL = ("roll_rad", "pitch_rad", "beam", "quality")
 _PROJECTED, _GEOGRAPHIC = ("x_m", "y_m"), ("longitude_deg", "latitude_deg")
 _SOUNDING = ("along_m", "across_m", "down_m")
-_HEADER_BYTES = 1 << 16
-_BLOCK = 1 << 21  # bytes of text that are read at once
+_HEADER_BYTES, _BLOCK = 1 << 16, 1 << 21  # bytes of text that are read at once: for its header, and for its rows
 _LARGE, _BUFFER = 1 << 26, 1 << 20  # bytes of a large file, and bytes of its columns that are read at once
 _LATEST_S = 1e10  # in the year 2286
 _SAME = 1e-6  # by which navigation may differ within a ping through rounding, metres or radians
-
 Columns = dict[str, np.ndarray]
 
 
@@ -54,10 +51,8 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         GenericError: the file is damaged, lacks a column, or a column is not numeric or not in its unit.
     """
-    # by the name as well: a Parquet file with a damaged head is no table of text
-    parquet = path.suffix.lower() == ".parquet" or path.open("rb").read(4) == b"PAR1"
     order, crs = _Order(), ""
-    for columns, part_crs, last in _with_last(_read_parquet(path) if parquet else _read_csv(path)):
+    for columns, part_crs, last in _with_last(_read_parquet(path) if _is_parquet(path) else _read_csv(path)):
         if crs not in ("", part_crs):
             raise GenericError(f"{path}: column crs must name one coordinate system, it has {[crs, part_crs]}")
         crs, skipped = part_crs, dict[str, int]()
@@ -96,6 +91,11 @@ class _Order:
     def problems(self, path: Path) -> list[str]:
         """Return a sentence if rows were out of order."""
         return [f"{path.name}: its rows went back in time {self.early} times, and were sorted"] if self.early else []
+
+
+def _is_parquet(path: Path) -> bool:
+    with path.open("rb") as file:  # a Parquet file with a damaged head is no text either
+        return path.suffix.lower() == ".parquet" or file.read(4) == b"PAR1"
 
 
 def _with_last(blocks: Iterator[tuple[Columns, str]]) -> Iterator[tuple[Columns, str, bool]]:
@@ -137,10 +137,8 @@ def _read_csv(path: Path) -> Iterator[tuple[Columns, str]]:
     header_names = [name.strip().strip('"') for name in header.split(",")]
     names = _wanted(path, header_names)
     crs_column = ["crs"] if "crs" in header_names else []
-    convert = csv.ConvertOptions(
-        column_types=dict.fromkeys(names, pa.float64()) | dict.fromkeys(crs_column, pa.string()),
-        include_columns=[*names, *crs_column],
-    )
+    types = dict.fromkeys(names, pa.float64()) | dict.fromkeys(crs_column, pa.string())
+    convert = csv.ConvertOptions(column_types=types, include_columns=list(types))
     # with names given and threads off, an error has the number of its row
     reading = csv.ReadOptions(column_names=header_names, skip_rows=1, use_threads=False, block_size=_BLOCK)
     try:

@@ -16,7 +16,7 @@ PING_COLUMNS = ("time_s", "east", "north", "depth_m", "roll_rad", "pitch_rad", "
 SOUNDING_COLUMNS = ("ping", "beam", "along_m", "across_m", "down_m", "quality")
 POINT_COLUMNS = ("east", "north", "up_m", "quality")
 
-_MOST_SENTENCES = 20  # each is held in memory and stands in reports
+_MOST_SENTENCES = 20  # of a file: all are in memory and in reports
 
 
 @dataclass

@@ -35,7 +35,7 @@ def numbers(words: Sequence[str]) -> list[float]:
     return [float(word) for word in words]
 
 
-def whole(word: str) -> int:
+def whole_number(word: str) -> int:
     """Return a word as a whole number from 0, of at most 63 bits.
 
     Raises:

@@ -89,8 +89,8 @@ class _Gathered:
     def take(self, datagram: Datagram, window: Window) -> None:
         self.kinds[datagram.kind] += 1
         if datagram.kind == PING:
-            if whole := self._parts.whole(datagram, datagram.content(window)):
-                self._ping(*whole)
+            if joined := self._parts.join(datagram, datagram.content(window)):
+                self._ping(*joined)
         elif datagram.kind == ATTITUDE:
             if len(samples := kmall_datagrams.attitude(datagram.content(window))):
                 self._attitude.append(samples)
@@ -106,9 +106,9 @@ class _Gathered:
         self._parts.close()
         self._skip("pings of which a part is missing", self._parts.lost)
         if not self.kinds[PING]:
-            held = ", ".join(f"{count} {kind.decode()}" for kind, count in self.kinds.most_common(5))
+            counts = ", ".join(f"{count} {kind.decode()}" for kind, count in self.kinds.most_common(5))
             self.problems.add_first(
-                f"has no #MRZ datagram, hence no soundings, but {held}; give the .kmall file of the same line"
+                f"has no #MRZ datagram, hence no soundings, but {counts}; give the .kmall file of the same line"
             )
 
     def part(self) -> Recording:

@@ -115,13 +115,13 @@ class Parts:
     """Joins the parts of a ping that was logged in the packets in which the sonar sent it."""
 
     def __init__(self) -> None:
-        """Begin with nothing held."""
+        """Begin without parts."""
         self.lost = 0  # pings of which a part is missing
         self._first: Datagram | None = None
-        self._held: list[bytes] = []
+        self._pieces: list[bytes] = []
         self._lost_s = np.nan
 
-    def whole(self, datagram: Datagram, content: memoryview) -> tuple[Datagram, bytes | memoryview] | None:
+    def join(self, datagram: Datagram, content: memoryview) -> tuple[Datagram, bytes | memoryview] | None:
         """Return a ping's first datagram, and its content after the partition; None until all parts are read."""
         if len(content) < _PARTITION.size:
             return datagram, b""
@@ -135,21 +135,21 @@ class Parts:
         if not self._next(parts, number, len(content)):
             self._lose(datagram.time_s)
             return None
-        self._held.append(bytes(content[_PARTITION.size + self._repeated(datagram, content, number) :]))
+        self._pieces.append(bytes(content[_PARTITION.size + self._repeated(datagram, content, number) :]))
         if number < parts or self._first is None:
             return None
-        whole = (self._first, b"".join(self._held))
-        self._first, self._held = None, []
-        return whole
+        joined = (self._first, b"".join(self._pieces))
+        self._first, self._pieces = None, []
+        return joined
 
     def close(self) -> None:
-        """Give up what is held."""
+        """Give up a ping whose parts are not complete."""
         if self._first is not None:
             self._lose(self._first.time_s)
 
     def _next(self, parts: int, number: int, size: int) -> bool:
         fits = parts <= _MOST_PARTS and size <= _PACKET and number <= parts
-        return fits and self._first is not None and number == len(self._held) + 1
+        return fits and self._first is not None and number == len(self._pieces) + 1
 
     def _repeated(self, datagram: Datagram, content: memoryview, number: int) -> int:
         if number == 1 or datagram.version < _WHOLE_COMMON:
@@ -158,7 +158,7 @@ class Parts:
 
     def _lose(self, time_s: float) -> None:
         self.lost += time_s != self._lost_s
-        self._first, self._held, self._lost_s = None, [], time_s
+        self._first, self._pieces, self._lost_s = None, [], time_s
 
 
 def ping(datagram: Datagram, content: bytes | memoryview) -> MrzPing | str:

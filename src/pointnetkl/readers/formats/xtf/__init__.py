@@ -170,7 +170,7 @@ class _Gathered:
 
 
 @dataclass
-class _Whole:
+class _Summary:
     """The sensor of a file, and doubts about its pings."""
 
     sensor: str = ""
@@ -178,30 +178,30 @@ class _Whole:
 
 
 def _parts(gathered: _Gathered, window: Window) -> Iterator[Recording]:
-    whole, swaths = _Whole(), xtf_swaths.Swaths(gathered.header, gathered.streams)
-    for batch in _batches(gathered, window, whole):
+    summary, swaths = _Summary(), xtf_swaths.Swaths(gathered.header, gathered.streams)
+    for batch in _batches(gathered, window, summary):
         lost = swaths.add(batch)
         gathered.skip("pings without time or attitude", lost)
         if swaths.count >= PART:
-            yield _part(gathered, swaths, whole)
-    if whole.assumed:
-        gathered.add_problem(f"has no sound speed in {whole.assumed} pings, for which {_SPEED:.0f} m/s is taken")
+            yield _part(gathered, swaths, summary)
+    if summary.assumed:
+        gathered.add_problem(f"has no sound speed in {summary.assumed} pings, for which {_SPEED:.0f} m/s is taken")
     for sentence in swaths.notes():
         gathered.add_problem(sentence)
     if swaths.count or gathered.skipped or gathered.problems or not len(gathered.pings):
-        yield _part(gathered, swaths, whole)
+        yield _part(gathered, swaths, summary)
 
 
-def _part(gathered: _Gathered, swaths: xtf_swaths.Swaths, whole: _Whole) -> Recording:
+def _part(gathered: _Gathered, swaths: xtf_swaths.Swaths, summary: _Summary) -> Recording:
     skipped, problems = dict(gathered.skipped), gathered.problems.drain()
     gathered.skipped.clear()
     pings, soundings = swaths.tables()
     vertical = xtf_swaths.vertical(gathered.header)
     tables = (pings, soundings, skipped, problems.sentences)
-    return Recording(gathered.name, gathered.crs, *tables, whole.sensor, vertical, problems_omitted=problems.omitted)
+    return Recording(gathered.name, gathered.crs, *tables, summary.sensor, vertical, problems_omitted=problems.omitted)
 
 
-def _batches(gathered: _Gathered, window: Window, whole: _Whole) -> Iterator[list[RangePing]]:
+def _batches(gathered: _Gathered, window: Window, summary: _Summary) -> Iterator[list[RangePing]]:
     """Yield runs of pings with equal numbers of beams."""
     batch: list[RangePing] = []
     for offset, size, kind, channel in np.frombuffer(gathered.pings, np.int64).reshape(-1, 4).tolist():
@@ -211,20 +211,20 @@ def _batches(gathered: _Gathered, window: Window, whole: _Whole) -> Iterator[lis
             gathered.skip("pings that cannot be used", 1)
             gathered.add_problem(f"the ping at byte {offset} cannot be used: it {fan}")
             continue
-        whole.sensor = whole.sensor or fan.sensor
+        summary.sensor = summary.sensor or fan.sensor
         if batch and (len(batch[0].fan.angle) != len(fan.angle) or len(batch) * len(fan.angle) >= _BATCH):
             yield batch
             batch = []
-        batch.append(_ping(data, fan, channel, whole))
+        batch.append(_ping(data, fan, channel, summary))
     if batch:
         yield batch
 
 
-def _ping(data: bytes, fan: Fan, channel: int, whole: _Whole) -> RangePing:
+def _ping(data: bytes, fan: Fan, channel: int, summary: _Summary) -> RangePing:
     recorded = xtf_packets.clock(data, 14) + data[21] / 100.0
     time = _time(recorded, fan.time_s)
     speed = fan.speed if np.isfinite(fan.speed) else _speed(data)
-    whole.assumed += int(np.isnan(speed))
+    summary.assumed += int(np.isnan(speed))
     (depth,) = struct.unpack_from("<f", data, 192)
     depth = depth if 0.0 < depth < 12_000.0 else 0.0
     return RangePing(time, fan, _SPEED if np.isnan(speed) else speed, depth, channel)

@@ -39,8 +39,8 @@ class NumberLines:
             offset = file.seek(self._first)
             rest = b""
             while content := file.read(_BLOCK):
-                whole, rest = self._cut(rest + content)
-                yield self._numbers(whole, offset)
+                lines, rest = self._cut(rest + content)
+                yield self._numbers(lines, offset)
                 offset = file.tell() - len(rest)
             yield self._numbers(rest, offset)
 
