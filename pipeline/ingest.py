@@ -10,12 +10,13 @@ from typing import Any
 from pointnetkl import readers
 from pointnetkl.surveys import survey
 from pointnetkl.workflow import artifacts, command, parameters
+from pointnetkl.workflow.table_writer import TableWriter
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the raw files and the true trajectory; write pings, soundings and truth in one map frame."""
     settings = parameters.read(arguments.params, "ingest", readers.Settings)
-    with artifacts.TableWriter(arguments.out / "soundings.parquet", survey.SOUNDINGS) as soundings:
+    with TableWriter(arguments.out / "soundings.parquet", survey.SOUNDINGS) as soundings:
         raw_survey = readers.read(arguments.raw, settings, soundings.write, arguments.out)
         truth = readers.read_truth(arguments.truth, raw_survey)
         soundings.metadata = {

@@ -20,6 +20,7 @@ from pointnetkl.surveys import submap, survey
 from pointnetkl.surveys.submap import Sampling, Submap
 from pointnetkl.workflow import artifacts, command, parameters, study
 from pointnetkl.workflow.study import StudySurvey
+from pointnetkl.workflow.table_writer import TableWriter
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -29,7 +30,7 @@ def main(arguments: argparse.Namespace) -> None:
     kind = artifacts.table_metadata(arguments.survey / "pings.parquet").get("kind", survey.SWATHS)
     sizes: list[int] = []
     spacings_m: list[float] = []
-    with artifacts.TableWriter(arguments.submaps, submap.POINTS) as points:
+    with TableWriter(arguments.submaps, submap.POINTS) as points:
 
         def take(cut: Submap) -> None:
             rows = submap.to_table([cut])

@@ -13,6 +13,7 @@ import pytest
 
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.artifacts import ArtifactError
+from pointnetkl.workflow.table_writer import TableWriter
 
 SCHEMA = pa.schema([("submap", pa.int32()), ("name", pa.string()), ("x_m", pa.float32())])
 FRAME = pd.DataFrame({"submap": [0, 1, 2], "name": ["a", "b", "c"], "x_m": [0.5, np.nan, -1.0]})
@@ -203,7 +204,7 @@ def rows(count: int) -> pd.DataFrame:
 def test_a_table_written_in_parts_is_the_same_whatever_the_parts(tmp_path: Path):
     whole = rows(200_000)
     for size in (1000, 65_536, 200_000):
-        with artifacts.TableWriter(tmp_path / f"{size}.parquet", ROWS) as writer:
+        with TableWriter(tmp_path / f"{size}.parquet", ROWS) as writer:
             for begin in range(0, len(whole), size):
                 writer.write(whole[begin : begin + size])
             writer.metadata = {"known": "last"}
@@ -214,7 +215,7 @@ def test_a_table_written_in_parts_is_the_same_whatever_the_parts(tmp_path: Path)
 
 
 def test_a_table_without_parts_is_empty(tmp_path: Path):
-    with artifacts.TableWriter(tmp_path / "t.parquet", ROWS):
+    with TableWriter(tmp_path / "t.parquet", ROWS):
         pass
     assert artifacts.read_table(tmp_path / "t.parquet", ROWS).empty
 
@@ -222,12 +223,12 @@ def test_a_table_without_parts_is_empty(tmp_path: Path):
 def test_a_table_that_is_not_finished_leaves_what_stood_there(tmp_path: Path):
     path = tmp_path / "t.parquet"
     path.write_text("before")
-    with pytest.raises(KeyError), artifacts.TableWriter(path, ROWS) as writer:  # noqa: PT012
+    with pytest.raises(KeyError), TableWriter(path, ROWS) as writer:  # noqa: PT012
         writer.write(rows(100_000))
         raise KeyError
     with (
         pytest.raises(artifacts.ArtifactError, match="does not have its columns"),
-        artifacts.TableWriter(path, ROWS) as writer,
+        TableWriter(path, ROWS) as writer,
     ):
         writer.write(rows(3).drop(columns="b"))
     assert [file.name for file in tmp_path.iterdir()] == ["t.parquet"]

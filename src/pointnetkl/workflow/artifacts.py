@@ -9,8 +9,7 @@ import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,8 +18,8 @@ import pyarrow.parquet as pq
 
 from pointnetkl.workflow.errors import PointNetKLError
 
-_KEY = b"pointnetkl"
-_GROUP_ROWS = 1 << 16
+KEY = b"pointnetkl"  # of our metadata in a Parquet file
+GROUP_ROWS = 1 << 16  # of a Parquet file's row groups
 
 
 class ArtifactError(PointNetKLError):
@@ -61,86 +60,31 @@ def write_table(
     Raises:
         ArtifactError: the frame lacks a column or has one of another type, or the file cannot be written.
     """
-    keys = {_KEY: json.dumps(metadata, sort_keys=True).encode()} | ({b"crs": crs.encode()} if crs else {})
-    table = _as_table(path, frame, schema)
+    keys = {KEY: json.dumps(metadata, sort_keys=True).encode()} | ({b"crs": crs.encode()} if crs else {})
+    table = to_arrow(path, frame, schema)
     buffer = io.BytesIO()
     # fixed row groups: the bytes must not depend on the machine's memory, and few of them hold one submap;
     # checksums: a flipped bit is found
     pq.write_table(
         table.replace_schema_metadata(keys),
         buffer,
-        row_group_size=_GROUP_ROWS,
+        row_group_size=GROUP_ROWS,
         compression="zstd",
         write_page_checksum=True,
     )
     write_bytes(path, buffer.getvalue())
 
 
-class TableWriter:
-    """A context that writes a table part by part, so that it need not fit in memory.
-
-    The file is whole in the end, or not there at all. `metadata` is as write_table takes it; it may be set until the
-    context ends.
+def to_arrow(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
+    """Return a frame as a table of exactly the schema's columns, without metadata.
 
     Raises:
-        ArtifactError: a part lacks a column or has one of another type, or the file cannot be written; a file that
-            stood at the path before is left as it was.
+        ArtifactError: the frame lacks a column or has one of another type; `path` is named in the error.
     """
-
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
-        """Begin a table in a temporary file beside its path."""
-        self.metadata: Mapping[str, Any] = {}
-        self._path, self._schema = path, schema
-        self._partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
-        self._waiting = schema.empty_table()
-        self._file: Any = None
-
-    def __enter__(self) -> Self:
-        """Return the writer; no file is opened before there are rows."""
-        return self
-
-    def write(self, frame: pd.DataFrame) -> None:
-        """Add rows."""
-        part = _as_table(self._path, frame, self._schema)
-        self._waiting = pa.concat_tables([self._waiting, part])
-        # groups of one size, whatever the parts: the bytes must not depend on them
-        while len(self._waiting) >= _GROUP_ROWS:
-            self._write_group()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Move the file to its path, unless there was an error."""
-        try:
-            if kind is None:
-                self._write_group()
-                self._finish()
-            elif self._file is not None:
-                self._file.close()
-        finally:
-            with contextlib.suppress(OSError):
-                self._partial.unlink()
-
-    def _write_group(self) -> None:
-        group, self._waiting = self._waiting[:_GROUP_ROWS], self._waiting[_GROUP_ROWS:]
-        with self._one_sentence():
-            if self._file is None:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = pq.ParquetWriter(self._partial, self._schema, compression="zstd", write_page_checksum=True)
-            self._file.write_table(group.combine_chunks(), row_group_size=_GROUP_ROWS)
-
-    def _finish(self) -> None:
-        with self._one_sentence():
-            self._file.add_key_value_metadata({_KEY: json.dumps(self.metadata, sort_keys=True).encode()})
-            self._file.close()
-            os.replace(self._partial, self._path)
-
-    @contextlib.contextmanager
-    def _one_sentence(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise ArtifactError(f"{self._path}: cannot be written ({error.strerror or _line(error)})") from error
+    try:
+        return pa.Table.from_pandas(frame, schema=schema, preserve_index=False).replace_schema_metadata()
+    except (KeyError, pa.ArrowException) as error:
+        raise ArtifactError(f"{path}: the table to write does not have its columns ({one_line(error)})") from error
 
 
 def read_table(
@@ -179,7 +123,7 @@ def table_metadata(path: Path) -> dict[str, Any]:
     Raises:
         ArtifactError: the file is missing or damaged.
     """
-    stored = (_guarded(path, lambda: pq.read_metadata(path)).metadata or {}).get(_KEY, b"{}")
+    stored = (_guarded(path, lambda: pq.read_metadata(path)).metadata or {}).get(KEY, b"{}")
     return _object(path, stored)
 
 
@@ -227,7 +171,7 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: is missing; run the stage that makes it (dvc repro)") from error
     except Exception as error:  # zipfile, numpy and json raise errors of many kinds on damaged bytes
-        raise ArtifactError(f"{path}: is damaged ({_line(error)}); delete it and run dvc repro") from error
+        raise ArtifactError(f"{path}: is damaged ({one_line(error)}); delete it and run dvc repro") from error
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -252,13 +196,6 @@ def read_json(path: Path) -> dict[str, Any]:
     return _object(path, _guarded(path, path.read_bytes))
 
 
-def _as_table(path: Path, frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
-    try:
-        return pa.Table.from_pandas(frame, schema=schema, preserve_index=False).replace_schema_metadata()
-    except (KeyError, pa.ArrowException) as error:
-        raise ArtifactError(f"{path}: the table to write does not have its columns ({_line(error)})") from error
-
-
 def _checked(path: Path, table: pa.Table, schema: pa.Schema) -> pd.DataFrame:
     stored = _guarded(path, lambda: table.column_names)  # a damaged name raises only here
     if missing := [name for name in schema.names if name not in stored]:
@@ -266,7 +203,7 @@ def _checked(path: Path, table: pa.Table, schema: pa.Schema) -> pd.DataFrame:
     try:
         table = table.select(schema.names).cast(schema)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
-        raise ArtifactError(f"{path}: a column has the wrong type ({_line(error)})") from error
+        raise ArtifactError(f"{path}: a column has the wrong type ({one_line(error)})") from error
     # pandas would turn integers with a gap among them into floats; a gap among floats is NaN
     if gaps := [f.name for f in schema if pa.types.is_integer(f.type) and table[f.name].null_count]:
         raise ArtifactError(f"{path}: the column {gaps[0]} has an empty value; was it made by another stage?")
@@ -277,7 +214,7 @@ def _object(path: Path, text: bytes) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except ValueError as error:
-        raise ArtifactError(f"{path}: is damaged ({_line(error)}); delete it and run dvc repro") from error
+        raise ArtifactError(f"{path}: is damaged ({one_line(error)}); delete it and run dvc repro") from error
     if not isinstance(content, dict):
         raise ArtifactError(f"{path}: holds a {type(content).__name__}, not a JSON object; delete it and run dvc repro")
     return content
@@ -289,8 +226,9 @@ def _guarded(path: Path, reading: Callable[[], Any]) -> Any:
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: is missing; run the stage that makes it (dvc repro)") from error
     except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no UTF-8
-        raise ArtifactError(f"{path}: cannot be read ({_line(error)}); delete it and run dvc repro") from error
+        raise ArtifactError(f"{path}: cannot be read ({one_line(error)}); delete it and run dvc repro") from error
 
 
-def _line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """Return an error's text in one line of 200 letters at most."""
     return " ".join(str(error).split())[:200]
