@@ -19,22 +19,22 @@ def main(arguments: argparse.Namespace) -> None:
     settings = parameters.read(arguments.params, "fit", fitting.Settings)
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    how = SelfRegistration(settings.seed, label, registration)
+    setup = SelfRegistration(settings.seed, label, registration)
     surveys = list(study.read(arguments.params).train)
-    fits = learned.fit(read_training(arguments.training, surveys, how), settings)
+    fits = learned.fit(read_training(arguments.training, surveys, setup), settings)
     learned.write(arguments.fits, fits, {"fit": parameters.as_metadata(settings), "surveys": surveys})
     for name, fit in fits.fits.items():
         numbers = ", ".join(f"{key} {value:.4g}" for key, value in fit.numbers.items())
         print(f"{name}: {numbers}; mean KL {fit.mean_kl:.4f} nats over {fits.submaps} training submaps")
 
 
-def read_training(folder: Path, surveys: list[str], how: SelfRegistration) -> fitting.Training:
+def read_training(folder: Path, surveys: list[str], setup: SelfRegistration) -> fitting.Training:
     """Read every training survey's submaps and labels; an error names the first file that is missing."""
     points = [artifacts.read_table(folder / name / "submaps.parquet", submap.POINTS) for name in surveys]
-    columns = label_table.schema(how.registration.dimensions)
+    columns = label_table.schema(setup.registration.dimensions)
     labels = [artifacts.read_table(folder / name / "labels.parquet", columns) for name in surveys]
     submaps = [submap.from_table(name, rows) for name, rows in zip(surveys, points, strict=True)]
-    return fitting.training(submaps, labels, how)
+    return fitting.training(submaps, labels, setup)
 
 
 if __name__ == "__main__":

@@ -49,11 +49,11 @@ def main(arguments: argparse.Namespace) -> None:
     training.finish(model, sets[0], settings)
 
     trait_sets = dataset.split(with_traits, settings.validation_share, settings.validation_blocks, settings.seed)
-    known = novelty.learn(trait_sets[0].described, trait_sets[0].survey)
-    artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, metadata, known))
+    traits = novelty.learn(trait_sets[0].described, trait_sets[0].survey)
+    artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, metadata, traits))
     summary = {
         **measure(model, sets, judged_at_m2),
-        **{"best_step": outcome.best_step, "steps": outcome.steps, "flagged": flagged(known, trait_sets)},
+        **{"best_step": outcome.best_step, "steps": outcome.steps, "flagged": flagged(traits, trait_sets)},
         "model": describe(kind, model, voxel),
         "labels": {name: metadata[name] for name in ("label", "registration")} | {"submaps": count(samples)},
     }
@@ -102,9 +102,9 @@ def measure(model: Model, sets: tuple[Samples, Samples], floor_m2: float) -> dic
     return {**divergences, "submaps": submaps, "floor_m2": floor_m2}
 
 
-def flagged(known: novelty.Known, sets: tuple[Samples, Samples]) -> dict[str, float]:
+def flagged(traits: novelty.TraitDistribution, sets: tuple[Samples, Samples]) -> dict[str, float]:
     """Return the share of submaps that the model's file says are unlike the training ones."""
-    shares = [float(np.mean(known.distance(samples.described) > known.limit)) for samples in sets]
+    shares = [float(np.mean(traits.distance(samples.described) > traits.limit)) for samples in sets]
     return {name: float(f"{share:.4g}") for name, share in zip(SETS, shares, strict=True)}
 
 

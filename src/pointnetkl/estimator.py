@@ -71,7 +71,7 @@ class CovarianceEstimator:
         Raises:
             EstimatorError, CovarianceError: as `predict`.
         """
-        centred, training = _centred(points), self._stored.known
+        centred, training = _centred(points), self._stored.traits
         return Prediction(self._covariance(centred), training.novelty(centred) if training else None)
 
     def _covariance(self, centred: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ def model(kind: str, dimensions: int = 2) -> Model:
     return untrained.eval()
 
 
-def training_submaps() -> novelty.Known:
+def training_submaps() -> novelty.TraitDistribution:
     """Return what a model's file keeps of 40 training submaps, of mild terrain with heights scaled by 0.2 to 2."""
     clouds = [terrains.cloud("mild", 900, i) * [1, 1, 0.2 + 1.8 * (i % 20) / 19] for i in range(40)]
     return novelty.learn(np.stack([novelty.traits(points) for points in clouds]), np.repeat(["a", "b"], 20))

@@ -16,9 +16,9 @@ REGISTRATION = gicp.Settings(
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
 LABEL = monte_carlo.Settings(seed=2, copy="same", prior_variance_m2=9.0, noise_sigma_m=0.1, held_out_runs=0)
 FIT = fitting.Settings(seed=4, floor_m2=0.01, starts=6)
-HOW = SelfRegistration(5, LABEL, REGISTRATION)
-HOW_WITH_YAW = SelfRegistration(5, LABEL, WITH_YAW)
-BOTH = {"xy": HOW, "xyyaw": HOW_WITH_YAW}
+SETUP = SelfRegistration(5, LABEL, REGISTRATION)
+SETUP_WITH_YAW = SelfRegistration(5, LABEL, WITH_YAW)
+BOTH = {"xy": SETUP, "xyyaw": SETUP_WITH_YAW}
 
 
 def submap(kind: str, number: int = 0, points: int = 900, height: float = 1.0) -> Submap:

@@ -8,7 +8,7 @@ import pytest
 from pointnetkl.methods import sampled
 from pointnetkl.methods.closed_forms import hessian
 from pointnetkl.methods.fitted import calibrated, fitting
-from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, submap
+from toy_submaps import BOTH, FIT, LABEL, REGISTRATION, SETUP, assert_turns, submap
 
 LEARNERS = {"hessian": calibrated.HESSIAN, "censi": calibrated.CENSI}
 PRIORS = {2: np.diag([9.0, 9.0]), 3: np.diag([9.0, 9.0, 9e-4])}
@@ -27,7 +27,7 @@ def training() -> fitting.Training:
     """Return submaps from flat to rugged with Monte Carlo labels."""
     submaps = [submap(kind, number) for kind in ("flat", "gentle", "mild", "rugged", "ridge") for number in range(3)]
     label = sampled.Sampled("label", 200, 2, LABEL, REGISTRATION)
-    return fitting.Training(submaps, np.stack([label.covariance(s) for s in submaps]), HOW)
+    return fitting.Training(submaps, np.stack([label.covariance(s) for s in submaps]), SETUP)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -63,7 +63,7 @@ def test_the_fit_recovers_the_numbers_that_made_the_labels(dimensions):
 @pytest.mark.parametrize("form", LEARNERS)
 def test_fitted_to_labels_flat_ground_gets_the_prior_and_labels_are_met_better_than_by_their_mean(form, training):
     fit = LEARNERS[form].fit(training, FIT)
-    method = LEARNERS[form].from_fit(form, fit, HOW)
+    method = LEARNERS[form].from_fit(form, fit, SETUP)
     flat = method.covariance(submap("flat", 7))
     assert np.linalg.eigvalsh(flat)[0] > 0.9 * 9
     assert np.linalg.eigvalsh(flat)[-1] < 9
@@ -71,7 +71,7 @@ def test_fitted_to_labels_flat_ground_gets_the_prior_and_labels_are_met_better_t
 
 
 def test_fitted_numbers_beat_the_closed_form_itself(training):
-    raw = np.stack([hessian.Hessian(HOW).covariance(s) for s in training.submaps])
+    raw = np.stack([hessian.Hessian(SETUP).covariance(s) for s in training.submaps])
     assert calibrated.HESSIAN.fit(training, FIT).mean_kl < 0.1 * fitting.mean_kl(training.labels, raw, FIT.floor_m2)
 
 
@@ -85,6 +85,6 @@ def test_it_turns_with_the_submap(form, dof, kind):
 
 def test_more_noise_on_the_copy_leaves_more_of_the_prior():
     fit = fitting.Fit({"ratio": 17.0, "gamma": 2.0}, 0.0)
-    noisy = dataclasses.replace(HOW, label=dataclasses.replace(LABEL, noise_sigma_m=0.4))
-    q = [calibrated.CENSI.from_fit("censi", fit, how).covariance(submap("mild")) for how in (HOW, noisy)]
+    noisy = dataclasses.replace(SETUP, label=dataclasses.replace(LABEL, noise_sigma_m=0.4))
+    q = [calibrated.CENSI.from_fit("censi", fit, setup).covariance(submap("mild")) for setup in (SETUP, noisy)]
     assert np.trace(q[1]) > 2 * np.trace(q[0])

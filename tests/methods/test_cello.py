@@ -11,7 +11,7 @@ from pointnetkl.methods.fitted import cello, fitting
 from pointnetkl.registration import gicp
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
-from toy_submaps import BOTH, FIT, HOW, LABEL, REGISTRATION, assert_turns, rotation, submap, turned
+from toy_submaps import BOTH, FIT, LABEL, REGISTRATION, SETUP, assert_turns, rotation, submap, turned
 
 KINDS = ("flat", "gentle", "mild", "rugged", "ridge")
 BLOCKS = dataclasses.replace(FIT, blocks=2)
@@ -26,7 +26,7 @@ def training() -> fitting.Training:
         for rank, kind in enumerate(KINDS)
     ]
     label = sampled.Sampled("label", 200, 2, LABEL, REGISTRATION)
-    return fitting.Training(submaps, np.stack([label.covariance(s) for s in submaps]), HOW)
+    return fitting.Training(submaps, np.stack([label.covariance(s) for s in submaps]), SETUP)
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +37,20 @@ def fit(training) -> fitting.Fit:
 
 def remembered(*labelled: tuple[Submap, np.ndarray], scale: float = 3.0, dof: str = "xy") -> cello.Cello:
     """Return it with these submaps and labels in its memory."""
-    how = BOTH[dof]
-    looks = [cello.look(s, how) for s, _ in labelled]
+    setup = BOTH[dof]
+    looks = [cello.appearance_of(s, setup) for s, _ in labelled]
     variances = [np.diag(look.axes.T @ label @ look.axes) for look, (_, label) in zip(looks, labelled, strict=True)]
     features = np.stack([look.features for look in looks])
-    return cello.Cello("cello", np.full(features.shape[1], scale), features, np.stack(variances), how)
+    return cello.Cello("cello", np.full(features.shape[1], scale), features, np.stack(variances), setup)
 
 
 def test_a_remembered_submap_gets_nearly_its_own_label():
     labels = {kind: np.diag([9.0, 4.0]) / 8**rank for rank, kind in enumerate(KINDS)}
     method = remembered(*((submap(kind), label) for kind, label in labels.items()))
     for kind, label in labels.items():
-        look = cello.look(submap(kind), HOW)
-        own = look.axes * np.diag(look.axes.T @ label @ look.axes) @ look.axes.T
+        appearance = cello.appearance_of(submap(kind), SETUP)
+        axes = appearance.axes
+        own = axes * np.diag(axes.T @ label @ axes) @ axes.T
         np.testing.assert_allclose(method.covariance(submap(kind)), own, rtol=1e-3, atol=1e-5)
 
 
@@ -84,7 +85,10 @@ def test_far_from_all_that_it_knows_the_nearest_decides():
 
 
 def test_its_mean_kl_is_that_of_each_submap_judged_by_the_other_blocks(training, fit):
-    method, block = cello.from_fit("cello", fit, HOW), cello.blocks([s.survey for s in training.submaps], 2)
+    method, block = (
+        cello.from_fit("cello", fit, SETUP),
+        cello.blocks([s.survey for s in training.submaps], 2),
+    )
     kl = []
     for i, (whole, label) in enumerate(zip(training.submaps, training.labels, strict=True)):
         others = block != block[i]
@@ -103,7 +107,7 @@ def test_labels_that_have_nothing_to_do_with_the_ground_are_averaged(training):
     rng = np.random.default_rng(3)
     labels = rng.permutation([np.eye(2), 4 * np.eye(2)] * 5)
     fit = cello.fit(dataclasses.replace(training, labels=labels), BLOCKS)
-    q = cello.from_fit("cello", fit, HOW).covariance(submap("mild", 5))
+    q = cello.from_fit("cello", fit, SETUP).covariance(submap("mild", 5))
     assert 1.3 < q[0, 0] < 3.7
 
 
@@ -114,8 +118,8 @@ def test_few_submaps_to_judge_on_leave_the_memory_whole(training):
 
 
 def test_one_submap_alone_is_judged_by_itself(training):
-    one = fitting.Training(training.submaps[:1], training.labels[:1], HOW)
-    q = cello.from_fit("cello", cello.fit(one, BLOCKS), HOW).covariance(training.submaps[0])
+    one = fitting.Training(training.submaps[:1], training.labels[:1], SETUP)
+    q = cello.from_fit("cello", cello.fit(one, BLOCKS), SETUP).covariance(training.submaps[0])
     assert np.trace(q) == pytest.approx(np.trace(training.labels[0]), rel=1e-4)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from pointnetkl.methods.closed_forms import censi
 from pointnetkl.registration import gicp
-from toy_submaps import BOTH, HOW, LABEL, assert_turns, submap
+from toy_submaps import BOTH, LABEL, SETUP, assert_turns, submap
 
 DRAWS = 6000  # 1.8 % on a variance
 
@@ -85,5 +85,5 @@ def test_it_turns_with_the_submap(dof):
 
 
 def test_it_is_far_too_sure_of_flat_ground():
-    q = censi.Censi(HOW).covariance(submap("flat"))
+    q = censi.Censi(SETUP).covariance(submap("flat"))
     assert np.trace(q) < 1e-3 * LABEL.prior_variance_m2

@@ -25,7 +25,7 @@ REGISTRATION = gicp.Settings(
 )
 LABEL = monte_carlo.Settings(seed=2, copy="same", prior_variance_m2=9.0, noise_sigma_m=0.2, held_out_runs=0)
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
-HOW = SelfRegistration(6, LABEL, REGISTRATION)
+SETUP = SelfRegistration(6, LABEL, REGISTRATION)
 FIT = fitting.Settings(seed=4, floor_m2=0.01, starts=6, blocks=2)
 ESTIMATE = estimated.Settings(seed=5, sampled_runs=[13])
 
@@ -58,7 +58,7 @@ def labels() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def fits(labels) -> learned.Fits:
     """Return what is learned from SUBMAPS and their labels."""
-    return learned.fit(fitting.training([SUBMAPS], [labels], HOW), FIT)
+    return learned.fit(fitting.training([SUBMAPS], [labels], SETUP), FIT)
 
 
 def test_naive_gicp_is_twice_the_identity_on_flat_ground():
@@ -155,11 +155,11 @@ def test_the_estimate_table_has_one_row_for_every_method_and_submap(labels):
 
 
 def test_every_method_gives_x_y_and_yaw_where_all_are_found(labels):
-    how = SelfRegistration(6, LABEL, WITH_YAW)
+    setup = SelfRegistration(6, LABEL, WITH_YAW)
     q = np.stack([mc(60, 2, WITH_YAW).covariance(s) for s in SUBMAPS])
     rows = table.from_matrices("toy", "label", [s.number for s in SUBMAPS], q)
-    fits = learned.fit(fitting.training([SUBMAPS], [rows], how), FIT)
-    methods = [*estimated.methods(rows, ESTIMATE, LABEL, WITH_YAW), *learned.methods(fits, how.seed)]
+    fits = learned.fit(fitting.training([SUBMAPS], [rows], setup), FIT)
+    methods = [*estimated.methods(rows, ESTIMATE, LABEL, WITH_YAW), *learned.methods(fits, setup.seed)]
     tabulated = method.tabulate(methods, SUBMAPS)
     assert list(tabulated.columns) == table.schema(3).names
     assert table.to_matrices(tabulated).shape == (len(methods) * len(SUBMAPS), 3, 3)
@@ -199,14 +199,14 @@ def test_the_structure_tensor_fits_labels_better_than_their_mean(fits):
 
 
 def test_learned_methods_give_a_covariance_for_every_submap(fits):
-    rows = method.tabulate(learned.methods(fits, HOW.seed), SUBMAPS)
+    rows = method.tabulate(learned.methods(fits, SETUP.seed), SUBMAPS)
     assert list(rows["method"].unique()) == list(learned.LEARNERS)
     assert len(rows) == len(learned.LEARNERS) * len(SUBMAPS)
 
 
 def test_the_mean_kl_of_a_fit_is_that_of_its_method(fits, labels):
     # what is remembered is judged without the submap's own block: tests/test_cello.py
-    for each in (m for m in learned.methods(fits, HOW.seed) if not fits.fits[m.name].rows):
+    for each in (m for m in learned.methods(fits, SETUP.seed) if not fits.fits[m.name].rows):
         q = np.stack([each.covariance(s) for s in SUBMAPS])
         assert fitting.mean_kl(table.to_matrices(labels), q, 0.01) == pytest.approx(fits.fits[each.name].mean_kl)
 
@@ -238,7 +238,7 @@ def test_a_damaged_file_of_fits_is_named_with_what_it_lacks(tmp_path, fits):
             learned.read(path)
     path.write_text(json.dumps(content | {"cello": {**content["cello"], "rows": []}}))
     with pytest.raises(fitting.FittingError, match="cello: remembers no rows of 10 numbers"):
-        learned.methods(learned.read(path), HOW.seed)
+        learned.methods(learned.read(path), SETUP.seed)
     path.write_text(json.dumps(content)[:40])
     with pytest.raises(artifacts.ArtifactError, match="damaged"):
         learned.read(path)
@@ -257,12 +257,12 @@ def test_fits_that_do_not_say_which_labels_they_are_of_are_refused(tmp_path, fit
 
 def test_a_training_submap_without_a_label_is_an_error(labels):
     with pytest.raises(labelled.LabelledError, match="submap 3"):
-        fitting.training([SUBMAPS], [labels.iloc[:3]], HOW)
+        fitting.training([SUBMAPS], [labels.iloc[:3]], SETUP)
 
 
 def test_no_training_submap_is_an_error():
     with pytest.raises(fitting.FittingError, match="no training submap"):
-        fitting.training([], [], HOW)
+        fitting.training([], [], SETUP)
 
 
 @pytest.mark.parametrize("change", [{"blocks": 1}, {"judged": 0}, {"starts": 0}, {"floor_m2": -1.0}, {"seed": -1}])

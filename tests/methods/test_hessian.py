@@ -63,7 +63,9 @@ def test_a_copy_without_noise_is_refused():
 
 
 def test_with_split_copies_it_looks_at_two_passes_over_the_ground():
-    how = dataclasses.replace(BOTH["xy"], label=dataclasses.replace(BOTH["xy"].label, copy="split", noise_sigma_m=1e-6))
-    same = dataclasses.replace(how, label=dataclasses.replace(how.label, copy="same"))
-    split, one = (np.trace(hessian.Hessian(each).covariance(submap("rugged"))) for each in (how, same))
+    setup = dataclasses.replace(
+        BOTH["xy"], label=dataclasses.replace(BOTH["xy"].label, copy="split", noise_sigma_m=1e-6)
+    )
+    same = dataclasses.replace(setup, label=dataclasses.replace(setup.label, copy="same"))
+    split, one = (np.trace(hessian.Hessian(each).covariance(submap("rugged"))) for each in (setup, same))
     assert split > 1e3 * one  # the very points fit without a misfit

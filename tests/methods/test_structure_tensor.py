@@ -10,10 +10,10 @@ from pointnetkl.methods.fitted import fitting
 from pointnetkl.methods.fitted import structure_tensor as st
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
-from toy_submaps import HOW, HOW_WITH_YAW
+from toy_submaps import SETUP, SETUP_WITH_YAW
 
 SETTINGS = fitting.Settings(seed=4, floor_m2=0.01, starts=12)
-METHOD = st.StructureTensor("structure_tensor", c=0.5, gamma=1.2, b_m2=8.0, f_m2=0.003, how=HOW)
+METHOD = st.StructureTensor("structure_tensor", c=0.5, gamma=1.2, b_m2=8.0, f_m2=0.003, setup=SETUP)
 
 
 def seabed(height, *, spacing=2.0, half=40.0, seed=0) -> Submap:
@@ -59,7 +59,7 @@ def test_it_rotates_with_the_submap():
 
 
 def test_it_turns_with_the_submap_where_yaw_is_found_too():
-    method = dataclasses.replace(METHOD, how=HOW_WITH_YAW)
+    method = dataclasses.replace(METHOD, setup=SETUP_WITH_YAW)
     submap = seabed(lambda x, y: ridge(x, y) + 0.5 * np.cos(y / 5))
     rotated, _ = turned(submap, 0.7)
     R = toy_submaps.rotation(0.7, 3)
@@ -69,8 +69,8 @@ def test_it_turns_with_the_submap_where_yaw_is_found_too():
 
 
 def test_a_ridge_and_a_mound_hold_the_yaw_differently():
-    method = dataclasses.replace(METHOD, how=HOW_WITH_YAW)
-    prior = method.how.prior()[2, 2]
+    method = dataclasses.replace(METHOD, setup=SETUP_WITH_YAW)
+    prior = method.setup.prior()[2, 2]
     mound = method.covariance(seabed(lambda x, y: 6 * np.exp(-(x**2 + y**2) / 200)))
     along = method.covariance(seabed(ridge))
     flat = method.covariance(seabed(lambda x, y: 0 * x))
@@ -98,9 +98,9 @@ def test_a_wall_does_not_make_the_slope_tensor_infinite():
 def test_the_fit_recovers_the_numbers_that_made_the_labels():
     T = tensors()
     labels = METHOD.from_tensors(T)
-    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
+    fit = st.fit_tensors(T, SETUP.prior(), labels, SETTINGS)
     assert fit.mean_kl < 1e-4
-    fitted = st.from_fit("structure_tensor", fit, HOW).from_tensors(T)
+    fitted = st.from_fit("structure_tensor", fit, SETUP).from_tensors(T)
     np.testing.assert_allclose(fitted, labels, rtol=0.05, atol=0.01)
     assert fit.numbers["gamma"] == pytest.approx(METHOD.gamma, rel=0.05)
     assert fit.numbers["b_m2"] == pytest.approx(METHOD.b_m2, rel=0.05)
@@ -109,8 +109,8 @@ def test_the_fit_recovers_the_numbers_that_made_the_labels():
 def test_the_fit_states_the_mean_kl_of_its_own_covariances():
     T = tensors(50)
     labels = METHOD.from_tensors(T[::-1])
-    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
-    fitted = st.from_fit("structure_tensor", fit, HOW).from_tensors(T)
+    fit = st.fit_tensors(T, SETUP.prior(), labels, SETTINGS)
+    fitted = st.from_fit("structure_tensor", fit, SETUP).from_tensors(T)
     assert fit.mean_kl == pytest.approx(fitting.mean_kl(labels, fitted, SETTINGS.floor_m2))
 
 
@@ -119,28 +119,28 @@ def test_the_fit_beats_the_constant_on_noisy_labels():
     clean = METHOD.from_tensors(T)
     draws = np.random.default_rng(5).normal(size=(len(T), 30, 2)) @ np.swapaxes(np.linalg.cholesky(clean), 1, 2)
     labels = np.swapaxes(draws, 1, 2) @ draws / 29
-    fit = st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
+    fit = st.fit_tensors(T, SETUP.prior(), labels, SETTINGS)
     assert fit.mean_kl < 0.2 * fitting.mean_kl(labels, labels.mean(axis=0), SETTINGS.floor_m2)
 
 
 def test_the_fit_saturates_at_the_prior_when_flat_labels_do():
     T = np.concatenate([tensors(100), np.zeros((100, 2, 2))])
     labels = dataclasses.replace(METHOD, b_m2=9.0, f_m2=1e-4).from_tensors(T)
-    fitted = st.from_fit("s", st.fit_tensors(T, HOW.prior(), labels, SETTINGS), HOW)
+    fitted = st.from_fit("s", st.fit_tensors(T, SETUP.prior(), labels, SETTINGS), SETUP)
     np.testing.assert_allclose(fitted.from_tensors(np.zeros((1, 2, 2)))[0], 9 * np.eye(2), rtol=0.01)
 
 
 def test_the_fit_is_the_same_each_time():
     T = tensors(40)
     labels = METHOD.from_tensors(T[::-1])
-    assert st.fit_tensors(T, HOW.prior(), labels, SETTINGS) == st.fit_tensors(T, HOW.prior(), labels, SETTINGS)
+    assert st.fit_tensors(T, SETUP.prior(), labels, SETTINGS) == st.fit_tensors(T, SETUP.prior(), labels, SETTINGS)
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-9, 1e6])
 def test_the_fit_answers_on_the_flattest_and_the_steepest_ground(scale):
     T = scale * tensors(20)
-    fit = st.fit_tensors(T, HOW.prior(), np.broadcast_to(np.diag([9.0, 4.0]), (20, 2, 2)), SETTINGS)
-    q = st.from_fit("s", fit, HOW).from_tensors(T)
+    fit = st.fit_tensors(T, SETUP.prior(), np.broadcast_to(np.diag([9.0, 4.0]), (20, 2, 2)), SETTINGS)
+    q = st.from_fit("s", fit, SETUP).from_tensors(T)
     assert np.isfinite(fit.mean_kl)
     for matrix in q:
         gaussian.check(matrix, "test")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pointnetkl.methods.closed_forms import censi, unscented
-from toy_submaps import BOTH, HOW, assert_turns, submap
+from toy_submaps import BOTH, SETUP, assert_turns, submap
 
 
 @pytest.mark.parametrize("prior", [np.diag([9.0, 9.0]), np.diag([9.0, 4.0, 0.01])])
@@ -26,9 +26,9 @@ def test_a_start_in_the_middle_that_ends_elsewhere_counts_twice():
 
 
 def test_flat_ground_gets_the_prior():
-    q = unscented.Unscented(HOW).covariance(submap("flat"))
+    q = unscented.Unscented(SETUP).covariance(submap("flat"))
     # nearest neighbours lie at random, and pull a noisy copy a little way back
-    np.testing.assert_allclose(q, HOW.prior(), atol=0.35 * 9)
+    np.testing.assert_allclose(q, SETUP.prior(), atol=0.35 * 9)
 
 
 @pytest.mark.parametrize("dof", ["xy", "xyyaw"])
@@ -40,7 +40,7 @@ def test_where_every_start_ends_in_the_same_place_only_the_sandwich_is_left(dof)
 
 
 def test_along_a_ridge_it_keeps_the_prior_and_across_it_does_not():
-    q = unscented.Unscented(HOW).covariance(submap("ridge"))
+    q = unscented.Unscented(SETUP).covariance(submap("ridge"))
     assert q[0, 0] > 3
     assert q[1, 1] < 0.05
 
@@ -48,4 +48,4 @@ def test_along_a_ridge_it_keeps_the_prior_and_across_it_does_not():
 @pytest.mark.parametrize("kind", ["rugged", "flat"])
 def test_it_turns_with_the_submap_by_quarters(kind):
     # by other angles the starts lie elsewhere
-    assert_turns(unscented.Unscented(HOW), kind, np.pi / 2, 0.25)
+    assert_turns(unscented.Unscented(SETUP), kind, np.pi / 2, 0.25)

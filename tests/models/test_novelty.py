@@ -24,7 +24,7 @@ def submap(height: float, number: int, points: int = 900) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def known() -> novelty.Known:
+def traits() -> novelty.TraitDistribution:
     """Two surveys of submaps from smooth to rough."""
     seen = [submap(height, 12 * s + i) for s in range(2) for i, height in enumerate(HEIGHTS)]
     return novelty.learn(np.stack([novelty.traits(p) for p in seen]), np.repeat(["a", "b"], 12))
@@ -40,9 +40,9 @@ def test_a_submap_s_traits_do_not_depend_on_its_frame():
     np.testing.assert_allclose(novelty.traits(shuffled), novelty.traits(points), atol=1e-9)
 
 
-def test_new_ground_of_the_same_kind_is_known(known: novelty.Known):
-    assert max(known.novelty(submap(height, 50 + i)) for i, height in enumerate(HEIGHTS)) < 1.2
-    assert known.novelty(submap(1.0, 60)) < 1
+def test_new_ground_of_the_same_kind_is_known(traits: novelty.TraitDistribution):
+    assert max(traits.novelty(submap(height, 50 + i)) for i, height in enumerate(HEIGHTS)) < 1.2
+    assert traits.novelty(submap(1.0, 60)) < 1
 
 
 def spiky(points: np.ndarray) -> np.ndarray:
@@ -62,8 +62,8 @@ def spiky(points: np.ndarray) -> np.ndarray:
     ],
     ids=["thinned", "large", "steep", "a line of the swath", "half", "spikes"],
 )
-def test_other_submaps_are_new(known: novelty.Known, change):
-    assert known.novelty(change(submap(1.0, 70))) > 1
+def test_other_submaps_are_new(traits: novelty.TraitDistribution, change):
+    assert traits.novelty(change(submap(1.0, 70))) > 1
 
 
 def test_the_limit_is_that_of_surveys_left_out():

@@ -1,4 +1,4 @@
-"""The methods that need only the submap, its labels or a few registrations: a new one joins by a line here."""
+"""The methods that need only the submap, its labels or a few registrations; a new method is added by a line here."""
 
 from dataclasses import dataclass
 
@@ -48,13 +48,13 @@ def methods(
 
 def without_labels(settings: Settings, label: monte_carlo.Settings, registration: gicp.Settings) -> list[Method]:
     """Return those of the methods that no label is needed for."""
-    how = SelfRegistration(settings.seed, label, registration)
+    setup = SelfRegistration(settings.seed, label, registration)
     return [
         naive_gicp.NaiveGicp(registration),
         naive_gicp.NaiveMeanCovariance(registration),
-        hessian.Hessian(how),
-        censi.Censi(how),
-        unscented.Unscented(how),
+        hessian.Hessian(setup),
+        censi.Censi(setup),
+        unscented.Unscented(setup),
         mean_field.MeanField(label, registration),
         *(
             sampled.Sampled(catalogue.sampled(runs), runs, settings.seed, label, registration)

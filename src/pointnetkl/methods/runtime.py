@@ -66,10 +66,10 @@ def measure(method: Method, submaps: Sequence[Submap]) -> Timing:
     # the first call compiles kernels and loads libraries
     gaussian.check(method.covariance(submaps[0]), f"{submaps[0].survey}, {method.name}")
     rounds = [[_seconds(method, submap) for submap in submaps]]
-    # a few milliseconds are measured again, in turns so that no submap is found in the cache; the median counts
+    # a few milliseconds are measured again, submap after submap so that none is still in the cache; the median counts
     if statistics.fmean(rounds[0]) < _SHORT_S:
         rounds += [[_seconds(method, submap) for submap in submaps] for _ in range(_ROUNDS - 1)]
-    seconds = [statistics.median(each) for each in zip(*rounds, strict=True)]
+    seconds = [statistics.median(times) for times in zip(*rounds, strict=True)]
     return Timing(statistics.fmean(seconds), statistics.stdev(seconds) if len(seconds) > 1 else 0.0)
 
 

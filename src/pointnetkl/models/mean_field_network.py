@@ -1,8 +1,8 @@
-"""`network`, the best that was found: the mean field's covariance, put right along its axes by a few small networks.
+"""`network`, our best model: the mean field's covariance, corrected along its axes by a few small networks.
 
-The description of a submap (package mean_field) gives a covariance by physics alone. Along each of its axes a
-correction of the log variance is learned: the same small networks look at every axis, by numbers that do not change
-when the submap is turned, so what was learned of one heading holds for all. Before training nothing is corrected.
+The description of a submap (package mean_field) gives a covariance by physics alone. Along each of its axes the small
+networks learn a correction of the log variance. They see every axis by numbers that do not change when the submap is
+turned, so what they learn of one heading holds for all. Before training they correct nothing.
 """
 
 import math
@@ -21,17 +21,17 @@ from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 AXIS, WHOLE = 5, 3  # numbers that describe an axis, and the submap
-_FAR = 3.0  # standard deviations of the training submaps: a number farther out is taken for one there
-_SETTLED_M = 2.0  # an end nearer to the truth along an axis has found it
+_FAR = 3.0  # standard deviations of the training submaps: a number farther out is moved to there
+_SETTLED_M = 2.0  # an end farther than this from the truth along an axis is lost
 
 
 class MeanFieldNetworkError(PointNetKLError):
-    """A model is asked for what it was not given."""
+    """A model lacks the descriptions or the conditions that it needs."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the network is made of, and the registrations that it describes.
+    """The size of the networks, and the registrations that the model describes.
 
     Raises:
         ValueError: a number cannot be one of a network's.
@@ -42,10 +42,10 @@ class Settings:
     most: float  # correction of a log variance, to either side
     jitter: float  # noise on inputs in training, in standard deviations
     dimensions: int = 2  # M: 2 for x, y; 3 with yaw
-    conditions: Conditions | None = None  # of the labels that it learns; a file of parameters has them elsewhere
+    conditions: Conditions | None = None  # of the labels that it learns; not in a file of parameters
 
     def __post_init__(self) -> None:
-        """Refuse what makes no network."""
+        """Refuse numbers that make no network."""
         parameters.require_positive(self, "members", "hidden_width", "most")
         if self.jitter < 0:
             raise ValueError(f"jitter is {self.jitter:g}, must be 0 or above")
@@ -61,30 +61,30 @@ class MeanFieldNetwork(Model):
     centre: Tensor  # (inputs,) of the training submaps, as the next
     spread: Tensor
 
-    def __init__(self, chosen: Settings) -> None:
+    def __init__(self, settings: Settings) -> None:
         """Make the members, their weights drawn from torch's generator, their corrections zero."""
         super().__init__()
-        self.settings = chosen
-        inputs, width = 2 * AXIS + WHOLE + 1, chosen.hidden_width
+        self.settings = settings
+        inputs, width = 2 * AXIS + WHOLE + 1, settings.hidden_width
         widths = ((inputs, width), (width, width), (width, 1))
-        self.weights = nn.ParameterList(torch.randn(chosen.members, a, b) / math.sqrt(a) for a, b in widths)
-        self.biases = nn.ParameterList(torch.zeros(chosen.members, 1, b) for _, b in widths)
+        self.weights = nn.ParameterList(torch.randn(settings.members, a, b) / math.sqrt(a) for a, b in widths)
+        self.biases = nn.ParameterList(torch.zeros(settings.members, 1, b) for _, b in widths)
         nn.init.zeros_(self.weights[-1])
         self.register_buffer("centre", torch.zeros(inputs))
         self.register_buffer("spread", torch.ones(inputs))
 
     def start(self, training: Samples) -> None:
-        """Take the training submaps' numbers for typical ones."""
-        seen = self._axes(torch.from_numpy(_described(training))).flatten(0, 1)
-        self.centre.copy_(seen.mean(dim=0))
+        """Take centre and spread of the inputs from the training submaps."""
+        inputs = self._axes(torch.from_numpy(_described(training))).flatten(0, 1)
+        self.centre.copy_(inputs.mean(dim=0))
         # a number that is the same in every training submap must not become infinite in another
-        self.spread.copy_(seen.std(dim=0) + 0.01)
+        self.spread.copy_(inputs.std(dim=0) + 0.01)
 
     def inputs(
-        self, samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
+        self, samples: Samples, indices: np.ndarray, points: int | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, ...]:
-        """Return the descriptions (B, D); they are of all points, whatever `points` says."""
-        return (_described(samples)[which],)
+        """Return the descriptions (B, D), which are of all points whatever `points` says."""
+        return (_described(samples)[indices],)
 
     def example(self) -> dict[str, Example]:
         """Return two descriptions of flat ground."""
@@ -97,13 +97,13 @@ class MeanFieldNetwork(Model):
         """Return what `forward` takes (D,), float32, of a submap's points (n, 3), metres, in its frame.
 
         Raises:
-            MeanFieldNetworkError: the model was never told under which conditions.
+            MeanFieldNetworkError: the settings have no conditions.
             MeanFieldError: the points have no ground.
         """
-        given = self.settings.conditions
-        if given is None:
+        conditions = self.settings.conditions
+        if conditions is None:
             raise MeanFieldNetworkError("the model does not say which registrations it describes; train it again")
-        return vector(mean_field.describe(points, given), given, self.settings.dimensions)
+        return vector(mean_field.describe(points, conditions), conditions, self.settings.dimensions)
 
     def forward(self, description: Tensor) -> Tensor:
         """Return [l, d], (B, M (M + 1) / 2), of descriptions (B, D)."""
@@ -133,7 +133,7 @@ class MeanFieldNetwork(Model):
         return torch.cat([own, others, whole, yaw], dim=2)
 
 
-def vector(described: Description, given: Conditions, dimensions: int) -> np.ndarray:
+def vector(described: Description, conditions: Conditions, dimensions: int) -> np.ndarray:
     """Return the numbers of a description that the network sees, (D,), float32.
 
     The logarithms of the variances (m^2, rad^2) along M axes, those in x, y ascending; cosine and sine of the first
@@ -141,44 +141,44 @@ def vector(described: Description, given: Conditions, dimensions: int) -> np.nda
     distance from their mean.
     """
     variances, axes = np.linalg.eigh(described.covariance)
-    each = _along(described, axes)
+    per_axis = _along(described, axes)
     if dimensions == 3:
         arm = float(np.trace(described.extent))  # m^2
-        yaw = described.yaw_variance(given)
+        yaw = described.yaw_variance(conditions)
         variances = np.append(variances, yaw)
-        each = np.column_stack([each, [yaw * arm, *described.turning / arm, arm, 0.0]])
+        per_axis = np.column_stack([per_axis, [yaw * arm, *described.turning / arm, arm, 0.0]])
     whole = [
-        np.log(described.spacing_m / given.prior_sigma_m),
+        np.log(described.spacing_m / conditions.prior_sigma_m),
         0.5 * np.log(described.points),
         described.iterations.mean() / 20,
     ]
-    own = _compressed(each, described.spacing_m)
+    own = _compressed(per_axis, described.spacing_m)
     return np.concatenate([np.log(variances), axes[:, 0], own.ravel(), whole]).astype(np.float32)
 
 
 def _along(described: Description, axes: np.ndarray) -> np.ndarray:
-    """Return what tells axes (the columns) in x, y apart, (AXIS, 2).
+    """Return the numbers of axes in x, y (the columns of `axes`), (AXIS, 2).
 
     Variance, stiffness, noise and extent along each, and the share of ends that have not settled near the truth.
     """
     matrices = (described.covariance, described.stiffness, described.noise, described.extent)
     lost = np.mean(np.abs(described.ends @ axes) > _SETTLED_M, axis=0)
-    return np.stack([*(np.einsum("ji,jk,ki->i", axes, each, axes) for each in matrices), lost])
+    return np.stack([*(np.einsum("ji,jk,ki->i", axes, matrix, axes) for matrix in matrices), lost])
 
 
-def _compressed(each: np.ndarray, spacing: float) -> np.ndarray:
-    """Return what `_along` says in numbers of about one size, (M, AXIS): logarithms of square roots, but the share."""
-    variance, stiffness, noise, extent, lost = each
+def _compressed(per_axis: np.ndarray, spacing: float) -> np.ndarray:
+    """Return what `_along` gives in numbers of similar size, (M, AXIS): logarithms of roots, except the share."""
+    variance, stiffness, noise, extent, lost = per_axis
     roots = [variance + 1e-3, stiffness + 1e-4, noise / (stiffness + 1e-9) + 0.1, extent / spacing**2]
-    return np.stack([*(0.5 * np.log(each) for each in roots), lost], axis=1)
+    return np.stack([*(0.5 * np.log(root) for root in roots), lost], axis=1)
 
 
 def _numbers(log_variances: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    """Return [l, d] of the covariance with these variances along an axis at the angle, the next one, and yaw."""
+    """Return [l, d] of the covariance with these variances along an axis at the angle, the axis across it, and yaw."""
     first, second = log_variances[:, 0].exp(), log_variances[:, 1].exp()
     xx = first * cosine**2 + second * sine**2
     lower = (first - second) * sine * cosine / xx
-    # the determinant does not turn, so yy - xy^2 / xx loses no digits
+    # from the determinant, which no rotation changes: yy - xy^2 / xx would lose digits
     d = torch.stack([xx.log(), log_variances[:, 0] + log_variances[:, 1] - xx.log()], dim=1)
     if log_variances.shape[1] == 2:
         return torch.cat([lower[:, None], d], dim=1)

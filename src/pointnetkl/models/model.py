@@ -1,4 +1,4 @@
-"""What training, a model's file and ONNX ask of a network, of whatever kind it is."""
+"""The interface that every kind of model has for training, for its file and for ONNX."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -15,22 +15,22 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class ModelError(PointNetKLError):
-    """A model is used in a way that would give a wrong answer."""
+    """A model is used in a state that would give a wrong answer."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """An input as ONNX is shown it."""
+    """An example of an input, from which ONNX takes its shape."""
 
     value: Tensor
-    free: dict[int, str]  # axes whose length may be any
+    free: dict[int, str]  # names of the axes that may have any length
 
 
 class Model(nn.Module, ABC):
     """A network that answers with [l, d], the numbers of a Cholesky composition of Q, for each of its inputs."""
 
     settings: Any  # a dataclass with `dimensions`, M: 2 for x, y; 3 with yaw
-    describe: Callable[[np.ndarray], np.ndarray] | None = None  # of a submap's points (n, 3): what samples must hold
+    describe: Callable[[np.ndarray], np.ndarray] | None = None  # what samples must hold of a submap's points (n, 3)
 
     @abstractmethod
     def start(self, training: Samples) -> None:
@@ -38,20 +38,20 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def inputs(
-        self, samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
+        self, samples: Samples, indices: np.ndarray, points: int | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, ...]:
-        """Return what `forward` takes, float32, for the chosen submaps.
+        """Return what `forward` takes, float32, for the submaps at these indices.
 
-        Each is seen by as many random points as `points` says; None: by all of them, and `which` has one index.
+        A submap is seen by `points` random points. None: by all of them, and there is one index.
         """
 
     @abstractmethod
     def example(self) -> dict[str, Example]:
-        """Return an input of two submaps for each argument of `forward`, in their order, by its name."""
+        """Return an example of two submaps for each argument of `forward`, by name, in their order."""
 
 
 class Covariance(nn.Module):
-    """A model that answers with Q itself: what is exported for use elsewhere."""
+    """A model that answers with Q itself, for export."""
 
     def __init__(self, model: Model) -> None:
         """Wrap a model."""
@@ -70,13 +70,13 @@ def predict(model: Model, inputs: tuple[np.ndarray, ...]) -> np.ndarray:
         ModelError: the model is in training mode.
     """
     if model.training:
-        raise ModelError("a model in training mode judges a cloud by its batch; call model.eval() before predict")
+        raise ModelError("a model in training mode normalises a cloud by its batch; call model.eval() before predict")
     with torch.inference_mode():
         numbers = model(*to_tensors(model, inputs)).double()
         return np.asarray(cholesky.covariance(numbers, model.settings.dimensions).cpu())
 
 
 def to_tensors(model: Model, inputs: tuple[np.ndarray, ...]) -> tuple[Tensor, ...]:
-    """Return inputs as tensors where the model is."""
-    where = next(model.parameters()).device
-    return tuple(torch.from_numpy(np.ascontiguousarray(each)).to(where) for each in inputs)
+    """Return inputs as tensors on the model's device."""
+    device = next(model.parameters()).device
+    return tuple(torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in inputs)

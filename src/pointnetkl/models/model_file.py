@@ -1,4 +1,4 @@
-"""A trained model as a file: for this package (.pt), and for any program that runs ONNX."""
+"""Files of a trained model: one for this package (.pt), one for any program that runs ONNX."""
 
 import io
 import warnings
@@ -14,7 +14,7 @@ import torch
 from pointnetkl.models import mean_field_network
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.model import Covariance, Model
-from pointnetkl.models.novelty import Known
+from pointnetkl.models.novelty import TraitDistribution
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -37,7 +37,7 @@ class Stored:
     model: Model  # in evaluation mode, on the CPU
     voxel: float  # edge of the voxels of the clouds it knows, as a share of the unit sphere's radius
     metadata: dict[str, Any]  # the parameters that made it
-    known: Known | None = None  # the submaps that it was trained on, where that was kept
+    traits: TraitDistribution | None = None  # of the training submaps, where the file has them
 
 
 def kind(name: str) -> tuple[type[Any], Callable[[Any], Model]]:
@@ -47,11 +47,13 @@ def kind(name: str) -> tuple[type[Any], Callable[[Any], Model]]:
         ModelFileError: there is no such kind.
     """
     if name not in KINDS:
-        raise ModelFileError(f"{name}: is no kind of model; there are {', '.join(KINDS)}")
+        raise ModelFileError(f"{name}: is no kind of model; the kinds are {', '.join(KINDS)}")
     return KINDS[name]
 
 
-def to_bytes(name: str, model: Model, voxel: float, metadata: Mapping[str, Any], known: Known | None = None) -> bytes:
+def to_bytes(
+    name: str, model: Model, voxel: float, metadata: Mapping[str, Any], traits: TraitDistribution | None = None
+) -> bytes:
     """Return a file's content, of a model of the kind `name`: weights, settings, the parameters that made them.
 
     They are plain values and tensors: reading them executes nothing.
@@ -62,7 +64,7 @@ def to_bytes(name: str, model: Model, voxel: float, metadata: Mapping[str, Any],
         "voxel": voxel,
         "metadata": dict(metadata),
         "weights": {key: tensor.cpu() for key, tensor in model.state_dict().items()},
-        "known": None if known is None else _plain(known),
+        "known": None if traits is None else _plain(traits),
     }
     buffer = io.BytesIO()  # a file's name would get into its bytes
     torch.save(content, buffer)
@@ -80,11 +82,11 @@ def read(path: Path) -> Stored:
         if bad := zipfile.ZipFile(io.BytesIO(stored)).testzip():  # torch does not ask for the checksums it wrote
             raise ValueError(f"{bad} has a wrong checksum")
         content = torch.load(io.BytesIO(stored), map_location="cpu", weights_only=True)
-        chosen, make = kind(content["kind"])
-        model = make(chosen(**content["network"]))
+        settings_class, make = kind(content["kind"])
+        model = make(settings_class(**content["network"]))
         model.load_state_dict(content["weights"])
-        known = _known(content.get("known"))
-        return Stored(content["kind"], model.eval(), float(content["voxel"]), dict(content["metadata"]), known)
+        traits = _traits(content.get("known"))
+        return Stored(content["kind"], model.eval(), float(content["voxel"]), dict(content["metadata"]), traits)
     except FileNotFoundError as error:
         raise ModelFileError(f"{path}: is missing; run dvc repro train@{path.stem}") from error
     except Exception as error:  # zip, pickle and torch each fail in their own ways on damaged bytes
@@ -107,22 +109,22 @@ def to_onnx(model: Model) -> bytes:
         warnings.simplefilter("ignore")
         torch.onnx.export(
             wrapped,
-            tuple(each.value for each in example.values()),
+            tuple(part.value for part in example.values()),
             buffer,  # type: ignore[arg-type]  # a buffer is taken where dynamo is false
             dynamo=False,
             input_names=list(example),
             output_names=["covariance"],
-            dynamic_axes={name: each.free for name, each in example.items()} | {"covariance": {0: "clouds"}},
+            dynamic_axes={name: part.free for name, part in example.items()} | {"covariance": {0: "clouds"}},
         )
     return buffer.getvalue()
 
 
-def _plain(known: Known) -> dict[str, Any]:
-    arrays = {name: torch.from_numpy(getattr(known, name)) for name in ("centre", "whitening")}
-    return {**arrays, "limit": known.limit}
+def _plain(traits: TraitDistribution) -> dict[str, Any]:
+    arrays = {name: torch.from_numpy(getattr(traits, name)) for name in ("centre", "whitening")}
+    return {**arrays, "limit": traits.limit}
 
 
-def _known(stored: dict[str, Any] | None) -> Known | None:
+def _traits(stored: dict[str, Any] | None) -> TraitDistribution | None:
     if stored is None:
         return None
-    return Known(np.asarray(stored["centre"]), np.asarray(stored["whitening"]), float(stored["limit"]))
+    return TraitDistribution(np.asarray(stored["centre"]), np.asarray(stored["whitening"]), float(stored["limit"]))

@@ -1,8 +1,8 @@
-"""Whether a submap is like those that a model was trained on: elsewhere its covariance is a guess.
+"""Whether a submap is like those that a model was trained on. Where it is not, the model's covariance is a guess.
 
-A few numbers describe a submap's points, and none of them depends on where the submap lies or how it is turned. Their
-Mahalanobis distance to the training submaps is judged by a limit that surveys decided which had no part in the mean
-and the covariance.
+A few numbers, the traits, describe a submap's points; none depends on where the submap lies or how it is turned. Their
+Mahalanobis distance to the training submaps is compared with a limit. The limit comes from surveys that had no part in
+the mean and the covariance.
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ _RELIEF_M, _ROUGH_M, _TILT = 0.1, 0.05, 0.01
 
 
 @dataclass(frozen=True)
-class Known:
-    """The submaps that a model was trained on, by their traits."""
+class TraitDistribution:
+    """Mean and covariance of the traits of the training submaps, and the distance up to which a submap is like them."""
 
     centre: np.ndarray  # (T,) mean
     whitening: np.ndarray  # (T, T): (traits - centre) @ whitening has unit covariance
@@ -62,7 +62,7 @@ def traits(points: np.ndarray) -> np.ndarray:
     )
 
 
-def learn(seen: np.ndarray, survey: np.ndarray) -> Known:
+def learn(seen: np.ndarray, survey: np.ndarray) -> TraitDistribution:
     """Return what is known by traits (k, T) of training submaps, in the order of their surveys' tracks.
 
     Each survey (k,) in turn is judged by the others; the limit is the median over surveys of the distance that all but
@@ -70,7 +70,7 @@ def learn(seen: np.ndarray, survey: np.ndarray) -> Known:
     """
     groups = survey if len(set(survey)) > 1 else np.arange(len(seen)) * 2 // len(seen)
     others = ((_around(seen[groups != name]), seen[groups == name]) for name in np.unique(groups))
-    limits = [np.quantile(known.distance(left_out), _QUANTILE) for known, left_out in others]
+    limits = [np.quantile(distribution.distance(left_out), _QUANTILE) for distribution, left_out in others]
     return dataclasses.replace(_around(seen), limit=float(np.median(limits)))
 
 
@@ -83,9 +83,9 @@ def _above_cells(xy: np.ndarray, height: np.ndarray, edge: float) -> tuple[np.nd
     return height - (np.bincount(cell, height) / counts)[cell], len(counts)
 
 
-def _around(seen: np.ndarray) -> Known:
+def _around(seen: np.ndarray) -> TraitDistribution:
     """Return mean and whitening of traits (k, T), no limit set."""
     centre = seen.mean(axis=0)
     covariance = (seen - centre).T @ (seen - centre) / len(seen) + _SLACK**2 * np.eye(len(centre))
     variances, axes = np.linalg.eigh(covariance)
-    return Known(centre, axes / np.sqrt(variances), np.inf)
+    return TraitDistribution(centre, axes / np.sqrt(variances), np.inf)

@@ -23,7 +23,7 @@ _CACHED = 1024  # points whose 1024 features stay in a core's cache until their 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the network is made of (section `network`).
+    """The size and inputs of the network (`network` of a model of this kind).
 
     Raises:
         ValueError: a number cannot be one of a network's.
@@ -36,7 +36,7 @@ class Settings:
     dimensions: int = 2  # M: 2 for x, y; 3 with yaw
 
     def __post_init__(self) -> None:
-        """Refuse what makes no network."""
+        """Refuse numbers that make no network."""
         parameters.require_positive(self, "hidden_layers", "hidden_width")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout is {self.dropout:g}, must be at least 0 and below 1")
@@ -118,15 +118,15 @@ class PointNet(nn.Module):
 class PointNetKL(Model):
     """pi: [l, d] of a cloud in the canonical form (zero mean, unit sphere, voxelised) and its radius rho."""
 
-    def __init__(self, chosen: Settings) -> None:
+    def __init__(self, settings: Settings) -> None:
         """Make phi and psi, their weights drawn from torch's generator."""
         super().__init__()
-        self.settings = chosen
+        self.settings = settings
         self.phi = PointNet()
-        inputs = PointNet.features + int(chosen.scale_input)
-        widths = [inputs] + [chosen.hidden_width] * chosen.hidden_layers
-        hidden = (_hidden(a, b, chosen.dropout) for a, b in itertools.pairwise(widths))
-        numbers = chosen.dimensions * (chosen.dimensions + 1) // 2
+        inputs = PointNet.features + int(settings.scale_input)
+        widths = [inputs] + [settings.hidden_width] * settings.hidden_layers
+        hidden = (_hidden(a, b, settings.dropout) for a, b in itertools.pairwise(widths))
+        numbers = settings.dimensions * (settings.dimensions + 1) // 2
         self.psi = nn.Sequential(*itertools.chain.from_iterable(hidden))
         self.last = nn.Linear(widths[-1], numbers)
 
@@ -153,10 +153,10 @@ class PointNetKL(Model):
         return self.last(self.psi(zeta))
 
     def inputs(
-        self, samples: Samples, which: np.ndarray, points: int | None, rng: np.random.Generator
+        self, samples: Samples, indices: np.ndarray, points: int | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, ...]:
         """Return points (b, n, 3) of canonical clouds and their radii (b,), float32."""
-        return samples.draw(which, points, rng)
+        return samples.draw(indices, points, rng)
 
     def example(self) -> dict[str, Example]:
         """Return two clouds and their radii; there may be more, of more points."""
@@ -170,11 +170,11 @@ def _largest(linear: nn.Linear, norm_weight: Tensor, features: Tensor) -> Tensor
     upwards = sign[:, None] * linear.weight
     if not features.requires_grad:
         return (upwards @ features.transpose(1, 2)).amax(dim=2) * sign + linear.bias
-    which = _point_of_largest(upwards.detach(), features.detach())
+    points = _point_of_largest(upwards.detach(), features.detach())
     # rows of all clouds' points: an embedding's gradient is gathered in a fixed order, and fast
-    rows = which + features.shape[1] * torch.arange(len(features), device=features.device)[:, None]
-    chosen = functional.embedding(rows, features.reshape(-1, features.shape[2]))
-    return (chosen * linear.weight).sum(dim=2) + linear.bias
+    rows = points + features.shape[1] * torch.arange(len(features), device=features.device)[:, None]
+    largest = functional.embedding(rows, features.reshape(-1, features.shape[2]))
+    return (largest * linear.weight).sum(dim=2) + linear.bias
 
 
 def _point_of_largest(weight: Tensor, features: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The covariance that a trained model predicts from the submap alone: PointNetKL, the paper's method, and `network`."""
+"""A trained model as a method: it predicts the covariance from the submap alone."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
-_DECIDE_LABELS = ("copy", "noise_sigma_m", "prior_variance_m2")  # of section `label`: another value, another Q
+_DECIDE_LABELS = ("copy", "noise_sigma_m", "prior_variance_m2")  # of section `label`: another value makes another Q
 
 
 class TrainedError(PointNetKLError):
-    """A model was trained for another Q than is asked for."""
+    """A model was trained for another covariance than is asked for."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained model, by the name that its file has."""
+    """A trained model; its file's name is the method's name."""
 
     name: str
     stored: Stored
@@ -41,7 +41,7 @@ class Trained:
 
 
 def inputs(stored: Stored, points: np.ndarray, origin: str) -> tuple[np.ndarray, ...]:
-    """Return what a stored model takes of one submap's points (n, 3), metres: every preprocessing step.
+    """Return the inputs of a stored model for one submap's points (n, 3), metres: every preprocessing step.
 
     Raises:
         VoxelError, MeanFieldError: as Trained.covariance; VoxelError begins with `origin`.
@@ -81,7 +81,7 @@ def check(path: Path, stored: Stored, label: monte_carlo.Settings, registration:
 
 
 def load_all(paths: Sequence[Path], label: monte_carlo.Settings, registration: gicp.Settings) -> list[Trained]:
-    """Read trained models, of which data/none is none, for the Q of these settings.
+    """Read trained models for the covariances of these settings; data/none stands for no model.
 
     Raises:
         ModelFileError, TrainedError: as load and check.

@@ -32,7 +32,7 @@ class TrainingError(PointNetKLError):
 class Outcome:
     """How training went; the model holds the best weights."""
 
-    history: pd.DataFrame  # a row a validation: step, training (mean since the row before), validation; nats
+    history: pd.DataFrame  # a row for each validation: step, training (mean since the row before), validation; nats
     best_step: int  # 0: nothing was better than the start
     steps: int
 
@@ -45,9 +45,10 @@ def train(
     checkpoint: Checkpoint | None = None,
     watch: Callable[[pd.DataFrame], None] = lambda history: None,
 ) -> Outcome:
-    """Train the model, where it is, give it the weights that did best in validation, and return how it went.
+    """Train the model on its device, give it the weights with the best validation, and return how training went.
 
-    `checkpoint` keeps the state on the way and gives it back to a second try; `watch` gets the history at every row.
+    `checkpoint` keeps the state from time to time, and a second try goes on from there; `watch` gets the history after
+    every new row.
 
     Raises:
         TrainingError: the loss is not a number.
@@ -75,17 +76,17 @@ def train(
 
 
 class _Run:
-    """All that a training changes on its way, and so all that a checkpoint holds."""
+    """The state that training changes, which is what a checkpoint holds."""
 
     def __init__(self, untrained: Model, training: Samples, validation: Samples, settings: Settings) -> None:
         self.model, self.training, self.validation, self.settings = untrained, training, validation, settings
         self.points = _points(settings)
-        where = next(untrained.parameters()).device
-        self.where, self.low = where, device.low_precision(where)
+        processor = next(untrained.parameters()).device
+        self.processor, self.low = processor, device.low_precision(processor)
         self.optimiser = torch.optim.Adam(
             untrained.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, amsgrad=True, fused=True
         )
-        self.scaler = torch.amp.GradScaler(where.type, enabled=self.low is torch.float16)
+        self.scaler = torch.amp.GradScaler(processor.type, enabled=self.low is torch.float16)
         self.rng = np.random.default_rng([settings.seed, _BATCHES])
         self.step = self.best_step = 0
         self.rows: list[tuple[int, float, float]] = []
@@ -93,7 +94,7 @@ class _Run:
         self.best_weights: dict[str, Tensor] = {}
 
     def begin(self) -> None:
-        """Judge the start as well: what never gets better than a constant stays one."""
+        """Validate the start as well: a model that never beats the mean label stays the mean label."""
         self.losses.append(_validate(self.model, self.training, self.training, self.settings, 0))
         self.judge()
 
@@ -101,7 +102,7 @@ class _Run:
         """Take one step of the optimiser."""
         self.model.train()
         indices = self.rng.integers(len(self.training), size=self.settings.batch)
-        with torch.autocast(self.where.type, self.low, enabled=self.low is not None):
+        with torch.autocast(self.processor.type, self.low, enabled=self.low is not None):
             floor_m2 = self.settings.floor_m2
             mean = loss.divergences(self.model, self.training, indices, self.points, floor_m2, self.rng).mean()
         self.step += 1
@@ -128,17 +129,17 @@ class _Run:
         return pd.DataFrame(self.rows, columns=["step", "training", "validation"])
 
     def last_row(self) -> str:
-        """Return the last row as the progress bar tells it."""
+        """Return the last row as the progress bar shows it."""
         _, training, validation = self.rows[-1]
         return f"training {training:.3f}, validation {validation:.3f}, best at step {self.best_step}"
 
     def state(self) -> dict[str, Any]:
-        """Return everything, as plain values and tensors."""
+        """Return the state, as plain values and tensors."""
         return {
             "parts": {name: getattr(self, name).state_dict() for name in ("model", "optimiser", "scaler")},
             "values": {name: getattr(self, name) for name in ("step", "best_step", "rows", "losses", "best_weights")},
             "rng": self.rng.bit_generator.state,
-            "torch_rng": device.rng_states(self.where),
+            "torch_rng": device.rng_states(self.processor),
         }
 
     def restore(self, kept: dict[str, Any]) -> None:
@@ -148,7 +149,7 @@ class _Run:
         for name, value in kept["values"].items():
             setattr(self, name, value)
         self.rng.bit_generator.state = kept["rng"]
-        device.set_rng_states(self.where, kept["torch_rng"])
+        device.set_rng_states(self.processor, kept["torch_rng"])
 
 
 def finish(trained: Model, training: Samples, settings: Settings) -> None:

@@ -1,4 +1,4 @@
-"""What a batch norm knows in evaluation: the means and variances of large batches under the weights of now."""
+"""Batch norms for evaluation: the means and variances of large batches under the present weights."""
 
 import numpy as np
 import torch
@@ -13,8 +13,8 @@ def take_statistics(
 ) -> None:
     """Replace batch-norm statistics by the average over batches of submaps, and leave the model in evaluation mode.
 
-    The running average that training keeps is of weights that have changed since, and of batches that miss the rare
-    steep submap: deep layers multiply both errors, and exp(d) explodes. Dropout is off, as it is in evaluation.
+    The running average of training is of weights that have changed since, and of batches without the rare steep
+    submap. Deep layers multiply both errors, and exp(d) explodes. Dropout is off, as it is in evaluation.
     """
     norms = [module for module in model.modules() if isinstance(module, nn.BatchNorm1d)]
     momenta = [norm.momentum for norm in norms]

@@ -1,4 +1,4 @@
-"""A training's state, kept in a file from time to time: one that was killed goes on where it was."""
+"""The state of a training, kept in a file from time to time, so that a killed training goes on from there."""
 
 import contextlib
 import hashlib
@@ -20,16 +20,16 @@ from pointnetkl.workflow import artifacts
 
 
 class Checkpoint:
-    """A file named by all that decides a training, written whole or not at all."""
+    """A file whose name is a hash of all that decides a training; it is written whole or not at all."""
 
     def __init__(self, folder: Path, name: str, every_s: float) -> None:
-        """Keep the training of that name in the folder, every so many seconds."""
+        """Keep the training of that name in the folder, every `every_s` seconds."""
         self.path = folder / f"{name}.pt"
         self.every_s = every_s
         self.kept_at = time.monotonic()
 
     def load(self) -> dict[str, Any] | None:
-        """Return the state that was kept; None where there is none, or none that can be read."""
+        """Return the kept state; None where there is none that can be read."""
         try:
             content = torch.load(io.BytesIO(self.path.read_bytes()), map_location="cpu", weights_only=True)
             return dict(content)
@@ -50,14 +50,14 @@ class Checkpoint:
         self.kept_at = time.monotonic()
 
     def discard(self) -> None:
-        """Delete what is kept in the folder: the model is made, and abandoned trainings of it are outdated."""
+        """Delete every state in the folder: the model is trained, and its abandoned trainings are out of date."""
         for path in (*self.path.parent.glob("*.pt"), *self.path.parent.glob(".*.partial")):
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
 
 
 def name(settings: Mapping[str, Any], samples: tuple[Samples, ...]) -> str:
-    """Return a hash of settings, data, and the code that is loaded, of this package and of what it computes with."""
+    """Return a hash of the settings, the data, this package's loaded code, and the versions of numpy and torch."""
     modules = {key: module for key, module in sys.modules.items() if key.startswith("pointnetkl.")}
     content = {
         "settings": settings,
@@ -69,11 +69,11 @@ def name(settings: Mapping[str, Any], samples: tuple[Samples, ...]) -> str:
 
 
 def _digest(samples: Samples) -> str:
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     described = () if samples.described is None else (samples.described,)
     for array in (samples.submap, samples.radius, samples.label, *described, *samples.clouds):
-        found.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        digest.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def _has_code(module: Any) -> bool:

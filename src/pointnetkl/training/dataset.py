@@ -1,4 +1,4 @@
-"""What the network learns from: canonical clouds and Monte Carlo labels of the training surveys."""
+"""The training data: canonical clouds and Monte Carlo labels of the training surveys."""
 
 import dataclasses
 import zlib
@@ -16,12 +16,12 @@ from pointnetkl.surveys import submap, voxel
 from pointnetkl.workflow import artifacts, compute, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
-# Of a label's columns those that are learned: who trains need not import the registration behind the others.
+# The columns of a label table that training reads.
 LABEL = pa.schema([("submap", pa.int32())] + [(f"q_{axes}_m2", pa.float64()) for axes in ("xx", "xy", "yy")])
 
 
 class DatasetError(PointNetKLError):
-    """The training surveys' files are missing, or do not fit together."""
+    """Files of the training surveys are missing, or do not belong together."""
 
 
 def read(folder: Path, surveys: Sequence[str]) -> tuple[Samples, float]:
@@ -66,15 +66,15 @@ def made_with(folder: Path, surveys: Sequence[str]) -> tuple[monte_carlo.Setting
 
 
 def with_descriptions(folder: Path, samples: Samples, describe: Callable[[np.ndarray], np.ndarray]) -> Samples:
-    """Return samples with what `describe` says of each submap's own points (n, 3), metres, in its frame.
+    """Return samples described by `describe`, of each submap's own points (n, 3), metres, in its frame.
 
     Raises:
         DatasetError, ArtifactError: a survey's submaps.parquet is missing, damaged or of other submaps.
     """
     points = [
-        each
+        cloud
         for name in dict.fromkeys(map(str, samples.survey))
-        for each in _points(folder / name, name, samples.submap[samples.survey == name])
+        for cloud in _points(folder / name, name, samples.submap[samples.survey == name])
     ]
     return dataclasses.replace(samples, described=np.stack(compute.in_threads(describe, points, "describe")))
 
@@ -82,8 +82,8 @@ def with_descriptions(folder: Path, samples: Samples, describe: Callable[[np.nda
 def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Samples, Samples]:
     """Return submaps to train on and to validate on, the latter in blocks along each survey's track.
 
-    Neighbours overlap, so a random split would put the same ground on both sides: of every survey `blocks` runs of
-    consecutive submaps are held back, `share` of it in all, one drawn in each of as many equal stretches.
+    Neighbours overlap, so a random split would put the same ground on both sides. Each survey is cut into `blocks`
+    equal stretches, and one run of consecutive submaps is drawn in each, `share` of the survey in all.
 
     Raises:
         DatasetError: a survey is too short to give to both sides.

@@ -1,4 +1,4 @@
-"""Where a network is trained: on a GPU in mixed precision, or on the CPU, in full and the same to the bit."""
+"""The device of a training: a GPU in mixed precision, or the CPU in full precision, the same to the bit each time."""
 
 import torch
 
@@ -6,7 +6,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class DeviceError(PointNetKLError):
-    """There is no such device here."""
+    """This machine lacks the device that is asked for."""
 
 
 def choose(name: str) -> torch.device:
@@ -22,12 +22,12 @@ def choose(name: str) -> torch.device:
 
 
 def prepare(seed: int, threads: int, device: torch.device) -> None:
-    """Make torch give the same bits every time on a CPU: its generator, how it shares sums out, its algorithms."""
+    """Make torch give the same bits every time on a CPU: set its generator, its threads and its algorithms."""
     torch.manual_seed(seed)
     torch.set_num_threads(threads)
-    # what use_deterministic_algorithms does, without the seconds in which that imports a compiler
+    # as use_deterministic_algorithms does, which also imports a compiler, for seconds
     torch.set_deterministic_debug_mode("error" if device.type == "cpu" else "default")
-    # else every new tensor is filled with NaN first, a fifth of the time; nothing here reads what it has not written
+    # else torch fills every new tensor with NaN first, a fifth of the time; nothing here reads what it has not written
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
 
 

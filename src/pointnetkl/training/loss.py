@@ -1,4 +1,4 @@
-"""What training makes small: the KL divergence from the labels to the model's answers."""
+"""The loss: the KL divergence from the labels to the model's answers."""
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ def divergences(
 
     The model sees `points` random points of each submap (None: all of them).
 
-    The floor is on both sides, as where methods are judged: the answer itself is without it.
+    The floor is added to both, as where methods are judged; the answer itself is without it.
     """
     numbers = model(*to_tensors(model, model.inputs(samples, indices, points, rng))).double()
     label = samples.label[indices]

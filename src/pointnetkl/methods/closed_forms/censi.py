@@ -15,12 +15,12 @@ from pointnetkl.surveys.submap import Submap
 class Censi:
     """H^-1 S H^-1 of the submap registered to a noisy copy of itself, whose noise is that of the labels."""
 
-    how: SelfRegistration
+    setup: SelfRegistration
     name: ClassVar[str] = catalogue.CENSI
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2); only the copy is noisy."""
-        return sandwich(self.how.solution(submap), self.how.label.noise_sigma_m)
+        return sandwich(self.setup.solution(submap), self.setup.label.noise_sigma_m)
 
 
 def sandwich(solution: gicp.Linearised, source_sigma_m: float, target_sigma_m: float = 0.0) -> np.ndarray:
@@ -41,7 +41,7 @@ def _squares(pulls: np.ndarray) -> np.ndarray:
 
 
 def _by_target(pulls: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    points, which = np.unique(matches, return_inverse=True)
+    points, index = np.unique(matches, return_inverse=True)
     sums = np.zeros((len(points), *pulls.shape[1:]))
-    np.add.at(sums, which, pulls)
+    np.add.at(sums, index, pulls)
     return sums

@@ -15,12 +15,12 @@ from pointnetkl.surveys.submap import Submap
 class Hessian:
     """s^2 H^-1 of the submap registered to a noisy copy of itself."""
 
-    how: SelfRegistration
+    setup: SelfRegistration
     name: ClassVar[str] = catalogue.HESSIAN
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
-        return covariance_at(self.how.solution(submap))
+        return covariance_at(self.setup.solution(submap))
 
 
 def covariance_at(solution: gicp.Linearised) -> np.ndarray:

@@ -27,14 +27,14 @@ class MeanField:
         Raises:
             MeanFieldError: the submap has no ground to tabulate.
         """
-        given = mean_field.conditions(self.label, self.registration)
+        conditions = mean_field.conditions(self.label, self.registration)
         try:
-            described = mean_field.describe(submap.points, given)
+            description = mean_field.describe(submap.points, conditions)
         except MeanFieldError as error:
             raise MeanFieldError(f"{submap.survey}, submap {submap.number}: {error}") from error
         if self.registration.dimensions == 2:
-            return described.covariance
+            return description.covariance
         q = np.zeros((3, 3))
-        q[:2, :2] = described.covariance
-        q[2, 2] = described.yaw_variance(given)
+        q[:2, :2] = description.covariance
+        q[2, 2] = description.yaw_variance(conditions)
         return q

@@ -18,17 +18,19 @@ _BETA = 2.0  # best for a Gaussian (Julier 2002); alpha 1 and kappa 0 leave no o
 class Unscented:
     """2 M + 1 registrations of one noisy copy from the sigma points of the prior, plus the sandwich."""
 
-    how: SelfRegistration
+    setup: SelfRegistration
     name: ClassVar[str] = catalogue.UNSCENTED
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
-        pair, noise = self.how.clouds(submap), self.how.noise(submap)
-        # one call a start, because the copies of one call have noise of their own
-        starts = sigma_points(self.how.prior())[:, None]
-        how = (noise, self.how.label, self.how.registration)
-        errors = np.concatenate([monte_carlo.register_perturbed(submap, pair, start, *how).errors for start in starts])
-        return spread(errors) + censi.sandwich(self.how.solution(submap, pair), self.how.label.noise_sigma_m)
+        pair, noise = self.setup.clouds(submap), self.setup.noise(submap)
+        # one call a start, because each copy of a call has noise of its own
+        starts = sigma_points(self.setup.prior())[:, None]
+        settings = (noise, self.setup.label, self.setup.registration)
+        errors = np.concatenate(
+            [monte_carlo.register_perturbed(submap, pair, start, *settings).errors for start in starts]
+        )
+        return spread(errors) + censi.sandwich(self.setup.solution(submap, pair), self.setup.label.noise_sigma_m)
 
 
 def sigma_points(prior: np.ndarray) -> np.ndarray:
@@ -40,6 +42,6 @@ def sigma_points(prior: np.ndarray) -> np.ndarray:
 def spread(errors: np.ndarray) -> np.ndarray:
     """Return the covariance (M, M) of errors (2 M + 1, M) of the sigma points, in their order."""
     outer = errors[1:]
-    about = errors - outer.mean(axis=0)  # the centre has no weight in the mean
+    centred = errors - outer.mean(axis=0)  # the centre has no weight in the mean
     weights = np.array([_BETA, *np.full(len(outer), 1 / len(outer))])
-    return np.asarray((weights[:, None] * about).T @ about)
+    return np.asarray((weights[:, None] * centred).T @ centred)

@@ -35,12 +35,12 @@ class Calibrated:
     form: Form
     ratio: float
     gamma: float
-    how: SelfRegistration
+    setup: SelfRegistration
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
-        raw = _raw(self.form, self.how, submap)
-        return combine(raw[None], self.how.prior(), np.log(self.ratio), self.gamma)[0]
+        raw = _raw(self.form, self.setup, submap)
+        return combine(raw[None], self.setup.prior(), np.log(self.ratio), self.gamma)[0]
 
 
 @dataclass(frozen=True)
@@ -55,17 +55,17 @@ class Learner:
 
     def fit(self, training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
         """Return the numbers with the least mean KL to the training labels."""
-        how = training.how
-        raw = np.stack(compute.in_threads(lambda s: _raw(self.form, how, s), training.submaps, "closed form"))
-        return fit_forms(raw, how.prior(), training.labels, settings)
+        setup = training.setup
+        raw = np.stack(compute.in_threads(lambda s: _raw(self.form, setup, s), training.submaps, "closed form"))
+        return fit_forms(raw, setup.prior(), training.labels, settings)
 
-    def from_fit(self, name: str, fit: fitting.Fit, how: SelfRegistration) -> Calibrated:
+    def from_fit(self, name: str, fit: fitting.Fit, setup: SelfRegistration) -> Calibrated:
         """Return the method of a fit's numbers."""
-        return Calibrated(name, self.form, fit.numbers["ratio"], fit.numbers["gamma"], how)
+        return Calibrated(name, self.form, fit.numbers["ratio"], fit.numbers["gamma"], setup)
 
 
-HESSIAN = Learner(lambda solution, how: hessian.covariance_at(solution))
-CENSI = Learner(lambda solution, how: censi.sandwich(solution, how.label.noise_sigma_m))
+HESSIAN = Learner(lambda solution, setup: hessian.covariance_at(solution))
+CENSI = Learner(lambda solution, setup: censi.sandwich(solution, setup.label.noise_sigma_m))
 
 
 def combine(raw: np.ndarray, prior: np.ndarray, log_ratio: float, gamma: float) -> np.ndarray:
@@ -73,8 +73,8 @@ def combine(raw: np.ndarray, prior: np.ndarray, log_ratio: float, gamma: float) 
     root = np.linalg.cholesky(prior)
     inverse = np.linalg.inv(root)
     share, v = np.linalg.eigh(inverse @ raw @ inverse.T)  # of the prior's variance: 1 / w
-    left = special.expit(gamma * (log_ratio + np.log(np.maximum(share, 1e-30))))
-    whitened = (v * left[:, None, :]) @ np.swapaxes(v, 1, 2)
+    share_kept = special.expit(gamma * (log_ratio + np.log(np.maximum(share, 1e-30))))
+    whitened = (v * share_kept[:, None, :]) @ np.swapaxes(v, 1, 2)
     return np.asarray(root @ whitened @ root.T)
 
 
@@ -89,5 +89,5 @@ def fit_forms(raw: np.ndarray, prior: np.ndarray, labels: np.ndarray, settings: 
     return fitting.Fit({"ratio": float(np.exp(log_ratio)), "gamma": float(gamma)}, float(best.fun))
 
 
-def _raw(form: Form, how: SelfRegistration, submap: Submap) -> np.ndarray:
-    return form(how.solution(submap).along_normals, how)
+def _raw(form: Form, setup: SelfRegistration, submap: Submap) -> np.ndarray:
+    return form(setup.solution(submap).along_normals, setup)

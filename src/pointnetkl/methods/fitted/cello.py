@@ -28,7 +28,7 @@ _COMMON = np.linspace(-1.0, 4.0, 11)  # logarithms of the scale that all feature
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """What a submap looks like."""
 
     features: np.ndarray  # (f,), logarithms, see `features`
@@ -43,13 +43,13 @@ class Cello:
     scales: np.ndarray  # (f,)
     features: np.ndarray  # (n, f) of the training submaps
     variances: np.ndarray  # (n, M) m^2 (and rad^2) of their labels, along their axes
-    how: SelfRegistration
+    setup: SelfRegistration
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
-        seen = look(submap, self.how)
-        weights = _weights(_squares(seen.features[None] * self.scales, self.features * self.scales))
-        return np.asarray((seen.axes * (weights @ self.variances)) @ seen.axes.T)
+        appearance = appearance_of(submap, self.setup)
+        weights = _weights(_squares(appearance.features[None] * self.scales, self.features * self.scales))
+        return np.asarray((appearance.axes * (weights @ self.variances)) @ appearance.axes.T)
 
 
 def features(dimensions: int) -> tuple[str, ...]:
@@ -62,18 +62,18 @@ def features(dimensions: int) -> tuple[str, ...]:
     return (*_FEATURES, *(f"information_{rank}" for rank in range(dimensions)))
 
 
-def look(submap: Submap, how: SelfRegistration) -> Look:
+def appearance_of(submap: Submap, setup: SelfRegistration) -> Appearance:
     """Return what a submap looks like."""
-    clouds = how.clouds(submap)
-    cloud, solution = clouds[1], how.solution(submap, clouds)
+    clouds = setup.clouds(submap)
+    cloud, solution = clouds[1], setup.solution(submap, clouds)
     slopes = structure_tensor.slopes(cloud.normals.astype(np.float64))
     w, v = np.linalg.eigh(slopes.T @ slopes / len(slopes))
-    axes = np.eye(how.registration.dimensions)
+    axes = np.eye(setup.registration.dimensions)
     axes[:2, :2] = v
     rough = roughness(cloud)
     numbers = [*w, _kurtosis((slopes**2).sum(axis=1)), rough.mean(), _kurtosis(rough)]
     logarithms = np.log([*np.maximum(numbers, _SMALLEST), hessian.residual_variance(solution)])
-    return Look(np.concatenate([logarithms, _information(solution, how)]), axes)
+    return Appearance(np.concatenate([logarithms, _information(solution, setup)]), axes)
 
 
 def roughness(cloud: gicp.Cloud) -> np.ndarray:
@@ -91,32 +91,32 @@ def names(dimensions: int) -> tuple[str, ...]:
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the scales with the least mean KL to the training labels, and what is remembered of the submaps."""
-    looks = compute.in_threads(lambda s: look(s, training.how), training.submaps, catalogue.CELLO)
-    axes = np.stack([each.axes for each in looks])
-    seen = np.stack([each.features for each in looks])
+    appearances = compute.in_threads(lambda s: appearance_of(s, training.setup), training.submaps, catalogue.CELLO)
+    axes = np.stack([appearance.axes for appearance in appearances])
+    features = np.stack([appearance.features for appearance in appearances])
     floored = _along(gaussian.with_floor(training.labels, settings.floor_m2), axes)
-    spread = np.maximum(seen.std(axis=0), 1e-6)
+    spread = np.maximum(features.std(axis=0), 1e-6)
     block = blocks([s.survey for s in training.submaps], settings.blocks)
-    judge = _Judge(seen / spread, floored, block, settings.judged)
+    judge = _Judge(features / spread, floored, block, settings.judged)
     scales, score = judge.best()
     determinants = np.linalg.slogdet(gaussian.with_floor(training.labels, settings.floor_m2))[1]
     entropy = determinants[judge.judged].mean() + training.labels.shape[1]
     numbers = dict(zip(names(axes.shape[1]), map(float, scales / spread), strict=True))
-    rows = np.concatenate([seen, _along(training.labels, axes)], axis=1)
+    rows = np.concatenate([features, _along(training.labels, axes)], axis=1)
     return fitting.Fit(numbers, float(score - 0.5 * entropy), _rounded(rows))
 
 
-def from_fit(name: str, fit: fitting.Fit, how: SelfRegistration) -> Cello:
+def from_fit(name: str, fit: fitting.Fit, setup: SelfRegistration) -> Cello:
     """Return the method of a fit's scales and what it remembers.
 
     Raises:
         FittingError: it remembers nothing, or rows of another length.
     """
-    scales = np.array([fit.numbers[key] for key in names(how.registration.dimensions)])
-    rows, length = np.array(fit.rows), len(scales) + how.registration.dimensions
+    scales = np.array([fit.numbers[key] for key in names(setup.registration.dimensions)])
+    rows, length = np.array(fit.rows), len(scales) + setup.registration.dimensions
     if rows.ndim != 2 or rows.shape[1] != length:
         raise fitting.FittingError(f"{name}: remembers no rows of {length} numbers; run dvc repro fit")
-    return Cello(name, scales, rows[:, : len(scales)], rows[:, len(scales) :], how)
+    return Cello(name, scales, rows[:, : len(scales)], rows[:, len(scales) :], setup)
 
 
 def blocks(surveys: list[str], count: int) -> np.ndarray:
@@ -139,13 +139,13 @@ class _Judge:
         self._own &= ~self._own.all(axis=1, keepdims=True)  # where there is but one block, by itself
 
     def best(self) -> tuple[np.ndarray, float]:
-        """Return the best scales, (f,), and what they reach: first one for all features, then one each."""
+        """Return the best scales, (f,), and what they reach: first one scale for all features, then one for each."""
         count = self._features.shape[1]
         common = min(_COMMON, key=lambda scale: self(np.full(count, scale))[0])
-        found = optimize.minimize(
+        result = optimize.minimize(
             self, np.full(count, common), jac=True, method="L-BFGS-B", bounds=[_BOUNDS] * count, options={"maxiter": 60}
         )
-        return np.exp(found.x), float(found.fun)
+        return np.exp(result.x), float(result.fun)
 
     def __call__(self, log_scales: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the mean of (label / q + ln q) / 2 and its gradient."""
@@ -162,9 +162,9 @@ class _Judge:
         return float(0.5 * (label / q + np.log(q)).sum(axis=1).mean()), gradient * squared
 
 
-def _information(solution: gicp.Linearised, how: SelfRegistration) -> np.ndarray:
-    prior = np.sqrt(np.diag(how.prior()))
-    q = censi.sandwich(solution.along_normals, how.label.noise_sigma_m) / np.outer(prior, prior)
+def _information(solution: gicp.Linearised, setup: SelfRegistration) -> np.ndarray:
+    prior = np.sqrt(np.diag(setup.prior()))
+    q = censi.sandwich(solution.along_normals, setup.label.noise_sigma_m) / np.outer(prior, prior)
     return np.log(np.maximum(np.linalg.eigvalsh(q), 1e-30))
 
 

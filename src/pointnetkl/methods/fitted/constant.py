@@ -43,6 +43,6 @@ def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     return fitting.Fit(numbers, fitting.mean_kl(training.labels, q, settings.floor_m2))
 
 
-def from_fit(name: str, fit: fitting.Fit, how: SelfRegistration) -> Constant:
+def from_fit(name: str, fit: fitting.Fit, setup: SelfRegistration) -> Constant:
     """Return the constant of a fit's numbers."""
     return Constant(name, table.to_matrices(pd.DataFrame([fit.numbers]))[0])

@@ -49,7 +49,7 @@ class Training:
 
     submaps: Sequence[Submap]  # survey by survey, along the track
     labels: np.ndarray  # (n, M, M) m^2 (and m rad, rad^2), each in its submap's frame
-    how: SelfRegistration
+    setup: SelfRegistration
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,17 @@ class Fit:
     rows: tuple[tuple[float, ...], ...] = ()  # what is remembered, a row for each training submap
 
 
-def training(surveys: Sequence[Sequence[Submap]], labels: Sequence[pd.DataFrame], how: SelfRegistration) -> Training:
+def training(surveys: Sequence[Sequence[Submap]], labels: Sequence[pd.DataFrame], setup: SelfRegistration) -> Training:
     """Return surveys' submaps with their labels (tables with the columns of covariances).
 
     Raises:
         FittingError: there is not one submap.
         LabelledError, CovarianceError: a submap has no label, or one that is not a covariance.
     """
-    matrices = [_matrix(s, gold) for each, gold in _pairs(surveys, labels) for s in each]
+    matrices = [_matrix(s, gold) for submaps, gold in _pairs(surveys, labels) for s in submaps]
     if not matrices:
         raise FittingError("there is no training submap to fit to; name one survey at least in study.train")
-    return Training([s for each in surveys for s in each], np.stack(matrices), how)
+    return Training([s for submaps in surveys for s in submaps], np.stack(matrices), setup)
 
 
 def mean_kl(labels: np.ndarray, q: np.ndarray, floor: float) -> float:

@@ -1,4 +1,4 @@
-"""The methods that learn a few numbers from training labels: a new one joins by a line in LEARNERS."""
+"""The methods that learn a few numbers from training labels; a new method is added by a line in LEARNERS."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from pointnetkl.workflow.parameters import require_seed
 
 
 class Learner(Protocol):
-    """What a module must offer to be learned: its numbers' names, the fit, and the method of a fit."""
+    """What a learned method offers: the names of its numbers, their fit to training labels, and the method of a fit."""
 
     def names(self, dimensions: int) -> tuple[str, ...]:
         """Return the names of the numbers, for covariances (M, M)."""
@@ -24,7 +24,7 @@ class Learner(Protocol):
     def fit(self, training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
         """Return what has the least mean KL to the training labels."""
 
-    def from_fit(self, name: str, fit: fitting.Fit, how: SelfRegistration) -> Method:
+    def from_fit(self, name: str, fit: fitting.Fit, setup: SelfRegistration) -> Method:
         """Return the method of a fit."""
 
 
@@ -61,13 +61,13 @@ class Fits:
 def fit(training: fitting.Training, settings: fitting.Settings) -> Fits:
     """Return every method's fit to the training labels."""
     fits = {name: learner.fit(training, settings) for name, learner in LEARNERS.items()}
-    return Fits(fits, len(training.submaps), training.how.label, training.how.registration)
+    return Fits(fits, len(training.submaps), training.setup.label, training.setup.registration)
 
 
 def methods(fits: Fits, seed: int) -> list[Method]:
     """Return the methods that the fits define; closed forms draw the noise of their copies from the seed."""
-    how = SelfRegistration(seed, fits.label, fits.registration)
-    return [learner.from_fit(name, fits.fits[name], how) for name, learner in LEARNERS.items()]
+    setup = SelfRegistration(seed, fits.label, fits.registration)
+    return [learner.from_fit(name, fits.fits[name], setup) for name, learner in LEARNERS.items()]
 
 
 def write(path: Path, fits: Fits, made_with: Mapping[str, Any]) -> None:

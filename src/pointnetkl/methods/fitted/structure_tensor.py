@@ -33,16 +33,16 @@ class StructureTensor:
     gamma: float
     b_m2: float
     f_m2: float
-    how: SelfRegistration
+    setup: SelfRegistration
 
     def covariance(self, submap: Submap) -> np.ndarray:
         """Return Q, (M, M) in m^2 (and m rad, rad^2)."""
-        return self.from_tensors(_tensor_of(submap, self.how)[None])[0]
+        return self.from_tensors(_tensor_of(submap, self.setup)[None])[0]
 
     def from_tensors(self, tensors: np.ndarray) -> np.ndarray:
         """Return Q (n, M, M) of tensors (n, M, M)."""
         numbers = (self.c, self.gamma, self.b_m2, self.f_m2)
-        return _covariances(*_axes(tensors, _units(self.how.prior())), numbers)
+        return _covariances(*_axes(tensors, _units(self.setup.prior())), numbers)
 
 
 def slope_tensor(normals: np.ndarray) -> np.ndarray:
@@ -64,8 +64,8 @@ def names(dimensions: int) -> tuple[str, ...]:
 
 def fit(training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
     """Return the four numbers with the least mean KL to the training labels."""
-    tensors = compute.in_threads(lambda s: _tensor_of(s, training.how), training.submaps, catalogue.STRUCTURE_TENSOR)
-    return fit_tensors(np.stack(tensors), training.how.prior(), training.labels, settings)
+    tensors = compute.in_threads(lambda s: _tensor_of(s, training.setup), training.submaps, catalogue.STRUCTURE_TENSOR)
+    return fit_tensors(np.stack(tensors), training.setup.prior(), training.labels, settings)
 
 
 def fit_tensors(tensors: np.ndarray, prior: np.ndarray, labels: np.ndarray, settings: fitting.Settings) -> fitting.Fit:
@@ -79,17 +79,17 @@ def fit_tensors(tensors: np.ndarray, prior: np.ndarray, labels: np.ndarray, sett
     return fitting.Fit(dict(zip(NUMBERS, _numbers(best.x), strict=True)), float(best.fun))
 
 
-def from_fit(name: str, fit: fitting.Fit, how: SelfRegistration) -> StructureTensor:
+def from_fit(name: str, fit: fitting.Fit, setup: SelfRegistration) -> StructureTensor:
     """Return the method of a fit's numbers."""
     c, gamma, b, f = (fit.numbers[key] for key in NUMBERS)
-    return StructureTensor(name, c, gamma, b, f, how)
+    return StructureTensor(name, c, gamma, b, f, setup)
 
 
-def _tensor_of(submap: Submap, how: SelfRegistration) -> np.ndarray:
-    # with yaw, T of a turn as well: the slope along the way that the turn takes a point
-    cloud = gicp.prepare(submap.points, how.registration)
-    ways = linearised.jacobian(cloud.points - cloud.centre, how.registration.dimensions)[:, :2]
-    g = np.einsum("ni,nij->nj", slopes(cloud.normals.astype(np.float64)), ways)
+def _tensor_of(submap: Submap, setup: SelfRegistration) -> np.ndarray:
+    # with yaw, T of a turn as well: the slope in the direction in which the turn moves a point
+    cloud = gicp.prepare(submap.points, setup.registration)
+    motions = linearised.jacobian(cloud.points - cloud.centre, setup.registration.dimensions)[:, :2]
+    g = np.einsum("ni,nij->nj", slopes(cloud.normals.astype(np.float64)), motions)
     return np.asarray(g.T @ g)
 
 

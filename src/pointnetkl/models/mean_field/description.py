@@ -1,4 +1,4 @@
-"""What the mean field says of one submap: where copies end, and the sums that moved them there."""
+"""The mean field of one submap: where copies end, and the sums over points that move them there."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class MeanFieldError(PointNetKLError):
 
 @dataclass(frozen=True)
 class Conditions:
-    """How the registrations go that are described: the numbers of `label` and `registration` that matter here."""
+    """The registrations that are described: the numbers of sections `label` and `registration` that matter here."""
 
     neighbours: int  # of a point's plane
     plane_epsilon: float
@@ -54,7 +54,7 @@ class Description:
         """Return the mean of e e^T over the ends, (2, 2) m^2, and what the registrations' tolerance adds to it."""
         return np.asarray(self.ends.T @ self.ends / len(self.ends) + self.tolerance_m**2 * np.eye(2))
 
-    def yaw_variance(self, given: Conditions) -> float:
+    def yaw_variance(self, conditions: Conditions) -> float:
         """Return the variance of a registration's yaw, rad^2: what noise leaves it, and what it keeps of its prior.
 
         What holds it is the moment of the slopes, and of nearest points in the plane, about the points' mean. Where no
@@ -62,9 +62,9 @@ class Description:
         """
         stiffness, noise = self.turning
         flat = settling.IN_PLANE * float(np.trace(self.extent))
-        moment = given.noise_sigma_m**2 * (noise + settling.IN_PLANE * flat) / self.points
-        kept = float(np.linalg.eigvalsh(self.covariance)[0]) / given.prior_sigma_m**2
-        return float(moment / (stiffness + flat) ** 2) + kept * given.prior_yaw_sigma_rad**2
+        moment = conditions.noise_sigma_m**2 * (noise + settling.IN_PLANE * flat) / self.points
+        kept = float(np.linalg.eigvalsh(self.covariance)[0]) / conditions.prior_sigma_m**2
+        return float(moment / (stiffness + flat) ** 2) + kept * conditions.prior_yaw_sigma_rad**2
 
 
 class _Ground(NamedTuple):
@@ -72,9 +72,9 @@ class _Ground(NamedTuple):
 
     points: np.ndarray  # (n, 3) metres, x and y from the raster's corner
     cell: float  # metres
-    counts: np.ndarray  # (4, rows, columns), as raster.fill returns it
+    counts: np.ndarray  # (4, rows, columns), as ground.fill returns it
     first: np.ndarray
-    planes: np.ndarray  # (4, rows, columns), as raster.planes returns it
+    planes: np.ndarray  # (4, rows, columns), as ground.planes returns it
     rim: int  # cells around the points
 
 
@@ -101,7 +101,7 @@ def conditions(label: monte_carlo.Settings, registration: gicp.Settings) -> Cond
     )
 
 
-def describe(points: np.ndarray, given: Conditions) -> Description:
+def describe(points: np.ndarray, conditions: Conditions) -> Description:
     """Return the description of a submap's points (n, 3), metres, in their frame.
 
     Raises:
@@ -110,17 +110,19 @@ def describe(points: np.ndarray, given: Conditions) -> Description:
     """
     centred = _checked(points)
     centred = centred - [column.mean() for column in centred.T]
-    reach = _REACH * given.prior_sigma_m
-    ground = _ground(centred, reach, given.neighbours)
+    reach = _REACH * conditions.prior_sigma_m
+    ground = _ground(centred, reach, conditions.neighbours)
     # a noisy copy's normals differ from the ground's by the slope that noise gives a plane through its neighbours
-    tilt = given.noise_sigma_m / math.sqrt(given.neighbours) / (_radius(given.neighbours) * ground.cell / 2)
-    epsilon = 2 * given.plane_epsilon + tilt**2
+    tilt = (
+        conditions.noise_sigma_m / math.sqrt(conditions.neighbours) / (_radius(conditions.neighbours) * ground.cell / 2)
+    )
+    epsilon = 2 * conditions.plane_epsilon + tilt**2
     slopes, apart = _slopes(ground, reach, epsilon)
     pulls = _pulls(ground, reach)
     starts, noises = settling.draws()
     ends, iterations = settling.settle(
-        slopes, apart, pulls, ground.cell / forces.FINE, given.prior_sigma_m * starts, noises, given.noise_sigma_m,
-        given.tolerance_m, given.max_iterations,
+        slopes, apart, pulls, ground.cell / forces.FINE, conditions.prior_sigma_m * starts, noises,
+        conditions.noise_sigma_m, conditions.tolerance_m, conditions.max_iterations,
     )  # fmt: skip
     middle = settling.Slopes(*slopes[len(slopes) // 2, len(slopes) // 2])
     return Description(
@@ -132,7 +134,7 @@ def describe(points: np.ndarray, given: Conditions) -> Description:
         centred[:, :2].T @ centred[:, :2] / len(centred),
         len(centred),
         ground.cell,
-        given.tolerance_m,
+        conditions.tolerance_m,
     )
 
 
@@ -142,7 +144,7 @@ def _checked(points: np.ndarray) -> np.ndarray:
     numbers = int(np.isfinite(points).all(axis=1).sum())
     raise MeanFieldError(
         f"{len(points)} points, of which {numbers} are numbers, have no ground to register;"
-        f" remove what is no number, and give {raster.FEWEST} or more"
+        f" remove points that are no numbers, and give {raster.FEWEST} or more"
     )
 
 

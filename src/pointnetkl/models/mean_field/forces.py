@@ -1,4 +1,4 @@
-"""What moves a copy, by the offset where it lies: the slopes' force and stiffness, and the pull of nearest points."""
+"""Tables of what moves a copy at an offset: the slopes' force and stiffness, and the pull of nearest points."""
 
 import functools
 
@@ -10,7 +10,7 @@ from pointnetkl.registration.gicp.device import device, kernel
 FINE = 6  # cells of the pull's raster to a point's spacing: with 5 copies run through places where they stick
 _LANES = 40  # FINE squared, and a little, so that they fill whole vectors
 _BLOCK = 32  # floats that a loop takes at once: a row of so many has no rest to be added one by one
-_FAR = np.float32(1e9)  # m^2, of a point that is none
+_FAR = np.float32(1e9)  # m^2, where there is no point yet
 _NUMBERS = len(Slopes._fields)  # in a table of slopes
 
 
@@ -38,12 +38,12 @@ def slopes(
     )  # fmt: skip
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
-            at = rim + stride * (i * columns + j)
-            there_x, there_y = other_x[at : at + size], other_y[at : at + size]
-            there_z, known = other_z[at : at + size], others[at : at + size]
+            place = rim + stride * (i * columns + j)
+            there_x, there_y = other_x[place : place + size], other_y[place : place + size]
+            there_z, has_ground = other_z[place : place + size], others[place : place + size]
             fx = fy = xx = xy = yy = noise_xx = noise_xy = noise_yy = points = zero
             for k in range(size):
-                n = count[k] * known[k]
+                n = count[k] * has_ground[k]
                 gx, gy = half * (own_x[k] + there_x[k]), half * (own_y[k] + there_y[k])
                 dx, dy = own_x[k] - there_x[k], own_y[k] - there_y[k]
                 w = one / ((least + half * (dx * dx + dy * dy)) * (one + gx * gx + gy * gy))
@@ -63,11 +63,11 @@ def slopes(
 def nearest(xy: np.ndarray, first: np.ndarray, cell: float, shape: tuple[int, int], rings: int) -> np.ndarray:
     """Return the vector to the nearest point from the centre of each fine cell, (rows FINE, columns FINE, 2), metres.
 
-    Points `xy` (2, n) are sorted by cell, as raster.sort does; a cell without any within `rings` cells has zeros.
+    Points `xy` (2, n) are sorted by cell, as ground.sort does; a cell without any within `rings` cells has zeros.
     """
     rows, columns = shape
-    found = np.zeros((rows * FINE, columns * FINE, 2), np.float32)
-    best, which = np.empty(_LANES, np.float32), np.zeros(_LANES, np.int32)  # squared distances, and of which points
+    vectors = np.zeros((rows * FINE, columns * FINE, 2), np.float32)
+    best, index = np.empty(_LANES, np.float32), np.zeros(_LANES, np.int32)  # squared distances, and of which points
     bits = best.view(np.int32)  # of numbers that are not negative: their order is that of whole numbers
     x, y = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)  # of fine cells' centres
     for k in range(FINE * FINE):
@@ -85,12 +85,12 @@ def nearest(xy: np.ndarray, first: np.ndarray, cell: float, shape: tuple[int, in
                     for begin, end in _runs(first, i, b, ring, ring == 1 or abs(i - a) == ring, columns):
                         for s in range(begin, end):
                             px, py = np.float32(xy[0, s] - a * cell), np.float32(xy[1, s] - b * cell)
-                            _compare(px, py, np.int32(s), x, y, best, which)
+                            _compare(px, py, np.int32(s), x, y, best, index)
             for k in range(FINE * FINE):
                 row, column = a * FINE + k // FINE, b * FINE + k % FINE
-                found[row, column, 0] = np.float32(xy[0, which[k]] - a * cell) - x[k]
-                found[row, column, 1] = np.float32(xy[1, which[k]] - b * cell) - y[k]
-    return found
+                vectors[row, column, 0] = np.float32(xy[0, index[k]] - a * cell) - x[k]
+                vectors[row, column, 1] = np.float32(xy[1, index[k]] - b * cell) - y[k]
+    return vectors
 
 
 @device  # type: ignore[untyped-decorator]
@@ -125,7 +125,7 @@ def _runs(
 
 @device  # type: ignore[untyped-decorator]
 def _compare(
-    px: float, py: float, point: int, x: np.ndarray, y: np.ndarray, best: np.ndarray, which: np.ndarray
+    px: float, py: float, point: int, x: np.ndarray, y: np.ndarray, best: np.ndarray, index: np.ndarray
 ) -> None:
     """Keep, for each fine cell, the nearest point yet, and the square of its distance."""
     for k in range(_LANES):
@@ -133,7 +133,7 @@ def _compare(
         square = dx * dx + dy * dy
         nearer = square < best[k]
         best[k] = square if nearer else best[k]
-        which[k] = point if nearer else which[k]
+        index[k] = point if nearer else index[k]
 
 
 @kernel
@@ -145,18 +145,18 @@ def pulls(xy: np.ndarray, vectors: np.ndarray, cell: float, reach: int) -> np.nd
     size, step, n = 2 * reach + 1, cell / FINE, xy.shape[1]
     width = -(-2 * size // _BLOCK) * _BLOCK  # of a row of vectors, and then some that are not looked at
     flat, row = vectors.reshape(-1), 2 * vectors.shape[1]
-    sums, at, rest = np.zeros((size, width), np.float32), np.empty(n, np.int64), np.zeros(2)
+    sums, place, rest = np.zeros((size, width), np.float32), np.empty(n, np.int64), np.zeros(2)
     for i in range(n):
         a, b = int(xy[0, i] / step), int(xy[1, i] / step)
-        at[i] = (a - reach) * row + 2 * (b - reach)
+        place[i] = (a - reach) * row + 2 * (b - reach)
         rest[0] += (a + 0.5) * step - xy[0, i]  # from points to the centres of their fine cells
         rest[1] += (b + 0.5) * step - xy[1, i]
     whole = n // 4 * 4
     for u in range(size):
         for i in range(0, whole, 4):
-            _add_four(sums[u], flat[u * row :], at[i], at[i + 1], at[i + 2], at[i + 3])
+            _add_four(sums[u], flat[u * row :], place[i], place[i + 1], place[i + 2], place[i + 3])
         for i in range(whole, n):
-            _add(sums[u], flat[u * row :], at[i])
+            _add(sums[u], flat[u * row :], place[i])
     table = sums[:, : 2 * size].copy().reshape((size, size, 2))
     return table + rest.astype(np.float32)
 

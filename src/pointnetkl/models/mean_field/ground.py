@@ -1,4 +1,4 @@
-"""The ground of a submap on a raster of one point's spacing: heights, slopes, and how they go on past its border."""
+"""The ground of a submap on a raster as fine as its points: heights, slopes, and both continued past its border."""
 
 import math
 
@@ -9,14 +9,14 @@ from pointnetkl.registration.gicp.device import device, kernel
 FEWEST = 6  # points that a plane is fitted to
 MOST_CELLS = 2**19  # of a raster: 2 km by 2 km at 3 m
 _TURNS = 3  # of the search for the spacing, which then changes by less than 1 %
-_FAR = 1 << 14  # cells, to one that there is not: its square is still an int32
-# Sums over a plane's points are of w p q, with p and q two of 1, x, y and z: these.
+_FAR = 1 << 14  # cells, where there is no nearest cell: its square is still an int32
+# The sums over a plane's points are of w p q, p and q each one of 1, x, y, z. These are the pairs (p, q).
 _PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (2, 2), (1, 3), (2, 3))
 
 
 @kernel
 def spacing(points: np.ndarray) -> float:
-    """Return the side in metres of the square that each of points (n, 3) has to itself on the ground they cover."""
+    """Return the side in metres of the square that a point has to itself on the ground that points (n, 3) cover."""
     n = len(points)
     x0, y0 = points[:, 0].min(), points[:, 1].min()
     x1, y1 = points[:, 0].max(), points[:, 1].max()
@@ -25,7 +25,7 @@ def spacing(points: np.ndarray) -> float:
     for _ in range(_TURNS):
         cell = 2 * side
         if ((x1 - x0) / cell + 1) * ((y1 - y0) / cell + 1) > MOST_CELLS:
-            break  # an outlier's doing: no raster can be made of it
+            break  # outliers spread the points too far for a raster
         covered = np.zeros((int((x1 - x0) / cell) + 1, int((y1 - y0) / cell) + 1), np.bool_)
         for i in range(n):
             covered[int((points[i, 0] - x0) / cell), int((points[i, 1] - y0) / cell)] = True
@@ -63,12 +63,12 @@ def fill(points: np.ndarray, cell: float, shape: tuple[int, int]) -> tuple[np.nd
 def sort(points: np.ndarray, cell: float, first: np.ndarray, columns: int) -> np.ndarray:
     """Return x and y (2, n) float32 of points (n, 3), by cell, whose points begin at `first`."""
     ordered = np.empty((2, len(points)), np.float32)
-    at = first.copy()
+    place = first.copy()
     for i in range(len(points)):
         k = int(points[i, 0] / cell) * columns + int(points[i, 1] / cell)
-        ordered[0, at[k]] = points[i, 0]
-        ordered[1, at[k]] = points[i, 1]
-        at[k] += 1
+        ordered[0, place[k]] = points[i, 0]
+        ordered[1, place[k]] = points[i, 1]
+        place[k] += 1
     return ordered
 
 
@@ -90,13 +90,13 @@ def planes(raster: np.ndarray, cell: float, radius: float) -> np.ndarray:
     for i in range(-reach, reach + 1):
         width = int(math.sqrt(radius * radius - i * i))
         for j in range(-width, width + 1):
-            at = rim + i * columns + j
+            place = rim + i * columns + j
             shift[1], shift[2] = i * cell, j * cell
             for k, (p, q) in enumerate(_PAIRS):
-                _add(sums[k], raster[0].reshape(-1)[at:], values[p, at:], shift[p], values[q, at:], shift[q])
-    found = np.zeros((4, rows, columns), np.float32)
-    _solve(sums, raster.reshape(4, -1)[:, rim:], np.float32(1e-3 * cell**4), found.reshape(4, -1)[:, rim:])
-    return found
+                _add(sums[k], raster[0].reshape(-1)[place:], values[p, place:], shift[p], values[q, place:], shift[q])
+    result = np.zeros((4, rows, columns), np.float32)
+    _solve(sums, raster.reshape(4, -1)[:, rim:], np.float32(1e-3 * cell**4), result.reshape(4, -1)[:, rim:])
+    return result
 
 
 # One array is written and few are read: the compiler then sees that none overlaps another, and adds side by side.
@@ -108,7 +108,7 @@ def _add(total: np.ndarray, w: np.ndarray, u: np.ndarray, du: float, v: np.ndarr
 
 
 @kernel
-def _solve(sums: np.ndarray, raster: np.ndarray, least: float, found: np.ndarray) -> None:
+def _solve(sums: np.ndarray, raster: np.ndarray, least: float, result: np.ndarray) -> None:
     """Write the planes of cells with enough points, not on a line: their spread's determinant is above `least`."""
     for b in range(sums.shape[1]):
         if sums[0, b] < FEWEST:
@@ -121,10 +121,10 @@ def _solve(sums: np.ndarray, raster: np.ndarray, least: float, found: np.ndarray
         if determinant <= least:
             continue
         gx, gy = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
-        found[0, b], found[1, b], found[3, b] = gx, gy, 1
+        result[0, b], result[1, b], result[3, b] = gx, gy, 1
         if raster[0, b] > 0:
             x, y, z = raster[1, b], raster[2, b], raster[3, b]
-        found[2, b] = z - gx * x - gy * y
+        result[2, b] = z - gx * x - gy * y
 
 
 @kernel

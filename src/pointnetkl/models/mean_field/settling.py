@@ -1,4 +1,4 @@
-"""Copies that run down the tabulated forces until they settle, as registrations do."""
+"""Copies that follow the tabulated forces until they settle, as registrations do."""
 
 import functools
 import math
@@ -116,7 +116,7 @@ def _pull(table: np.ndarray, u: float, v: float) -> tuple[float, float]:
     a, b, c, d = (1 - p) * (1 - q), p * (1 - q), (1 - p) * q, p * q
     x = a * table[i, j, 0] + b * table[i + 1, j, 0] + c * table[i, j + 1, 0] + d * table[i + 1, j + 1, 0]
     y = a * table[i, j, 1] + b * table[i + 1, j, 1] + c * table[i, j + 1, 1] + d * table[i + 1, j + 1, 1]
-    # beyond the table nothing is known, and what pulls farther out there would do so for ever: points on a lattice do
+    # beyond the table a pull that points outwards, as points on a lattice have, would never end
     reach = (table.shape[0] - 1) / 2
     return 0.0 if abs(u) > reach and x * u > 0 else x, 0.0 if abs(v) > reach and y * v > 0 else y
 
