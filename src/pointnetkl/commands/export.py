@@ -26,7 +26,7 @@ dead reckoning, and writes the poses that follow from it, where the benchmark st
 def add(commands: Any) -> None:
     """Add the command's parser."""
     command = shared.parser(
-        commands, "export", "write a survey's graph as g2o and TUM files", _DESCRIPTION, shared.DIALECTS
+        commands, "export", "write a survey's graph as g2o and TUM files", _DESCRIPTION, shared.DIALECTS_HELP
     )
     command.add_argument("graph", type=Path, metavar="GRAPH.npz", help="a graph that stage `graph` made")
     command.add_argument(
@@ -36,11 +36,11 @@ def add(commands: Any) -> None:
         "--method", default=catalogue.NETWORK, help="method to take covariances of (default: %(default)s)"
     )
     command.add_argument(
-        "--edges", choices=("all", "shared"), help="how to count edges (default: slam.edges of the parameters)"
+        "--edges", choices=shared.EDGES, help="how to count edges (default: slam.edges of the parameters)"
     )
     command.add_argument("--corrupted", type=int, metavar="N", help="add the noise of this repetition, from 0")
     command.add_argument(
-        "--dialect", choices=("g2o", "gtsam"), default="g2o", help="of the file to write (default: %(default)s)"
+        "--dialect", choices=shared.DIALECTS, default="g2o", help="of the file to write (default: %(default)s)"
     )
     command.add_argument("--params", type=Path, default=Path("params.yaml"), help="parameters (default: %(default)s)")
     command.add_argument("--out", type=Path, required=True, metavar="GRAPH.g2o", help="graph to write")

@@ -10,7 +10,9 @@ import numpy as np
 
 from pointnetkl.workflow.errors import PointNetKLError
 
-DIALECTS = """\
+EDGES = ("all", "shared")  # ways to count edges, as slam.edges of the parameters
+DIALECTS = ("g2o", "gtsam")  # as exchange.g2o.DIALECTS, whose import takes seconds
+DIALECTS_HELP = """\
 dialects of a g2o file:
   gtsam  metres and radians, as GTSAM reads and writes files
   g2o    that of g2o itself, where the error of a rotation is the vector part of a quaternion: the information's block

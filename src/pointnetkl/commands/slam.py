@@ -41,7 +41,7 @@ columns:
   novelty           distance to the training submaps of the model; 1 is the limit
   far               whether the novelty is above 1: Q is then a guess
 
-{shared.DIALECTS}"""
+{shared.DIALECTS_HELP}"""
 
 
 def add(commands: Any) -> None:
@@ -57,12 +57,12 @@ def add(commands: Any) -> None:
     )
     command.add_argument(
         "--edges",
-        choices=("all", "shared"),
+        choices=shared.EDGES,
         default="all",
         help="how to count edges, as slam.edges (default: %(default)s)",
     )
     command.add_argument(
-        "--dialect", choices=("g2o", "gtsam"), default="g2o", help="of graph.g2o (default: %(default)s)"
+        "--dialect", choices=shared.DIALECTS, default="g2o", help="of graph.g2o (default: %(default)s)"
     )
     command.add_argument("--params", type=Path, default=Path("params.yaml"), help="parameters (default: %(default)s)")
     command.set_defaults(run=run)

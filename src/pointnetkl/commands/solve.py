@@ -37,10 +37,10 @@ and 2.69 (huber), and gnc drops a closure at 4.1.
 def add(commands: Any) -> None:
     """Add the command's parser."""
     command = shared.parser(
-        commands, "solve", "optimise a pose graph of your own, a g2o file", _DESCRIPTION, shared.DIALECTS
+        commands, "solve", "optimise a pose graph of your own, a g2o file", _DESCRIPTION, shared.DIALECTS_HELP
     )
     command.add_argument("graph", type=Path, metavar="GRAPH.g2o", help="a pose graph")
-    command.add_argument("--dialect", choices=("g2o", "gtsam"), help="of a file that does not state it (default: g2o)")
+    command.add_argument("--dialect", choices=shared.DIALECTS, help="of a file that does not state it (default: g2o)")
     command.add_argument("--covariances", type=Path, nargs="+", metavar="TABLE", help="covariances by submap")
     command.add_argument(
         "--method", default=catalogue.NETWORK, help="method to take covariances of (default: %(default)s)"

@@ -168,20 +168,20 @@ def _moment(errors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 def _errors(
     source: Submap,
-    T: np.ndarray,
+    T_map_source: np.ndarray,
     targets: Sequence[np.ndarray],
     starts: np.ndarray,
     centroid: np.ndarray | None,
     setup: Setup,
 ) -> np.ndarray:
-    """Return the errors (b, M) of a submap's registrations onto its targets; `starts` (b, M) are relative to pose T."""
-    cloud = pose.transform(T, source.points)
+    """Return the errors (b, M) of a submap's registrations onto its targets, from `starts` (b, M) about its pose."""
+    cloud = pose.transform(T_map_source, source.points)
     ground = loop_closure.Ground(np.concatenate(targets), cloud.mean(axis=0), setup.reach_m, setup.registration)
     residual = np.full((len(starts), 4, 4), np.nan)
     motions = [SE2.from_vector(start) for start in np.pad(starts, ((0, 0), (0, 3 - starts.shape[1])))]
     for i, outcome in enumerate(ground.register_many(cloud, motions)):
         if outcome is not None:
-            residual[i] = np.linalg.inv(outcome[0].act_on_pose(T)) @ T
+            residual[i] = np.linalg.inv(outcome[0].act_on_pose(T_map_source)) @ T_map_source
     return survey_graph.residual_errors(residual, None if centroid is None else np.tile(centroid, (len(residual), 1)))
 
 

@@ -186,18 +186,18 @@ class _FrontEnd:
         self._rejected: list[int] = []
         self.correction = SE2.identity()  # the motion of the submap added last
 
-    def add(self, points: np.ndarray, T: np.ndarray, drift: SE2, perturbation: SE2) -> None:
-        """Add the next submap, with pose T, moved by `drift`; register it if it closes a loop."""
+    def add(self, points: np.ndarray, T_map_submap: np.ndarray, drift: SE2, perturbation: SE2) -> None:
+        """Add the next submap, with its pose moved by `drift`; register it if it closes a loop."""
         i = len(self._clouds)
-        cloud = pose.transform(drift.act_on_pose(T), points)
+        cloud = pose.transform(drift.act_on_pose(T_map_submap), points)
         targets = self._footprints.covering(cloud, self._share, among=i - 1)  # never S_{i-1}
         outcome = self._register(cloud, targets, perturbation) if len(targets) else None
         self.correction = drift if outcome is None else outcome[0] @ drift
         self._centroids.append(points[:, :2].mean(axis=0))
-        self._place((self.correction / drift).act(cloud), self.correction.act_on_pose(T))
+        self._place((self.correction / drift).act(cloud), self.correction.act_on_pose(T_map_submap))
         if outcome is not None:
             start = perturbation.about(cloud.mean(axis=0)[:2]) @ drift
-            before, after = (motion.about(-T[:2, 3]).to_vector() for motion in (start, self.correction))
+            before, after = (motion.about(-T_map_submap[:2, 3]).to_vector() for motion in (start, self.correction))
             self._connect(targets, _Registration(i, before, after, outcome[1]))
         elif len(targets):
             self._rejected.append(i)
@@ -207,10 +207,10 @@ class _FrontEnd:
         fused = np.concatenate([self._clouds[k] for k in targets])
         return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).register(cloud, start)
 
-    def _place(self, cloud: np.ndarray, T: np.ndarray) -> None:
+    def _place(self, cloud: np.ndarray, T_map_submap: np.ndarray) -> None:
         self._footprints.add(cloud)
         self._clouds.append(cloud)
-        self._T_map_submap.append(T)
+        self._T_map_submap.append(T_map_submap)
 
     def _connect(self, targets: np.ndarray, registration: _Registration) -> None:
         # the registration corrects x, y and with xyyaw yaw; the rest of the pose is the one handed in

@@ -27,16 +27,16 @@ def patchiness(points: np.ndarray, squared_slopes: np.ndarray) -> float:
 
 
 def describe(
-    source: Submap, T: np.ndarray, targets: Sequence[np.ndarray], cell: float, registration: gicp.Settings
+    source: Submap, T_map_source: np.ndarray, targets: Sequence[np.ndarray], cell: float, registration: gicp.Settings
 ) -> tuple[dict[str, float], np.ndarray]:
     """Return overlap, patchiness and outside of a submap, and the centre (3,) of the common ground, in its frame.
 
-    `T` is its pose T_map_source, `targets` are the targets' points (n, 3) in the map frame, `cell` is the size of a
+    `T_map_source` is its pose, `targets` are the targets' points (n, 3) in the map frame, `cell` is the size of a
     footprint's cell in metres. outside is the share of the submap's squared slopes on ground that no target has.
     """
     prepared = gicp.prepare(source.points, registration)
     slopes = (prepared.normals[:, :2].astype(np.float64) ** 2).sum(axis=1)  # squared sines, finite on a wall
-    source_cells = footprint.keys(pose.transform(T, prepared.points), cell)
+    source_cells = footprint.keys(pose.transform(T_map_source, prepared.points), cell)
     target_cells = footprint.cells(np.concatenate(targets), cell)
     covered = np.isin(source_cells, target_cells)
     description = {
