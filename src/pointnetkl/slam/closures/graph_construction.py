@@ -1,7 +1,6 @@
 """Builds a survey's pose graph: GT, which stands for the truth in the paper, then draws of Algorithm 1 on it."""
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -74,15 +73,18 @@ def build(
 ) -> SurveyGraph:
     """Return a survey's graph: GT from navigation (n, 4, 4), then each draw of Algorithm 1 on the GT poses.
 
-    `labels` are the Monte Carlo covariances (M, M) by submap; `spacing` is that of neighbouring points, in
-    metres.
+    `labels` are the Monte Carlo covariances (M, M) by submap; `spacing` is that of neighbouring points, in metres.
     """
     number = np.array([s.number for s in submaps], np.int64)
     closures = loop_closure.close(submaps, navigation, None, spacing, settings, registration)
     full = survey_graph.full_covariances(number, labels, closures, settings.loop_closure, f"{survey}, labels")
     gt = optimise_navigation(navigation, closures, full, settings)
-    draw = functools.partial(_draw, survey, submaps, gt, spacing, settings, registration)
-    draws = compute.in_threads(draw, range(settings.draws), f"loop closures, {survey}", unit="draw")
+
+    def close(draw: int) -> Closures:
+        starts = loop_closure.starts(survey, submaps, settings, registration.dimensions, draw)
+        return loop_closure.close(submaps, gt, starts, spacing, settings, registration)
+
+    draws = compute.in_threads(close, range(settings.draws), f"loop closures, {survey}", unit="draw")
     noise = (settings.dead_reckoning, settings.loop_closure)
     return SurveyGraph(survey, number, navigation, gt, truth, tuple(draws), *noise)
 
@@ -102,19 +104,6 @@ def without_track(
         none = dataclasses.replace(none, centroid=np.array([s.points[:, :2].mean(axis=0) for s in submaps]))
     noise = (settings.dead_reckoning, settings.loop_closure)
     return SurveyGraph(survey, number, poses, poses, unknown, (none,) * settings.draws, *noise, track=False)
-
-
-def _draw(
-    survey: str,
-    submaps: Sequence[Submap],
-    gt: np.ndarray,
-    spacing: float,
-    settings: loop_closure.Settings,
-    registration: gicp.Settings,
-    draw: int,
-) -> Closures:
-    starts = loop_closure.starts(survey, submaps, settings, registration.dimensions, draw)
-    return loop_closure.close(submaps, gt, starts, spacing, settings, registration)
 
 
 def optimise_navigation(
