@@ -66,5 +66,7 @@ echo "  installing the packages of requirements.lock (a few minutes)"
   echo "error: a package does not load, see above: most often a system library is missing" >&2
   exit 1
 }
+echo "  compiling the registration's kernels (half a minute)"
+.venv/bin/python tools/compile_kernels.py
 touch .venv/complete
 echo "  done: make repro, make test; or: source .venv/bin/activate && dvc repro"
