@@ -157,7 +157,7 @@ def test_the_page_calls_q_ij_an_oracle_and_quotes_no_circular_coverage():
 def test_classes_by_hold_hold_every_registration_once():
     closures = drawn_closures(1)
     result = closure_numbers.by_hold(closures)
-    assert sum(each["registrations"] for each in result.values()) == len(closures.rows)
+    assert sum(medians["registrations"] for medians in result.values()) == len(closures.rows)
     assert result["below 0.1 m"]["placed_error_m"] < 0.1 < result["above 1 m"]["placed_error_m"]
 
 

@@ -12,9 +12,9 @@ EXTENT = (1000.0, 1300.0, 50.0, 200.0)
 
 
 def image(scale: float) -> np.ndarray:
-    made = RNG.gamma(3.0, scale, (10, 20)).astype(np.float32)
-    made[:, :4] = np.nan
-    return made
+    errors = RNG.gamma(3.0, scale, (10, 20)).astype(np.float32)
+    errors[:, :4] = np.nan
+    return errors
 
 
 def drawn(errors: dict[str, np.ndarray]) -> Figure:
@@ -23,16 +23,16 @@ def drawn(errors: dict[str, np.ndarray]) -> Figure:
 
 def test_every_trajectory_is_drawn_on_one_scale_that_leaves_out_the_worst_cells():
     errors = {"gt": image(1.0), "corrupted": image(3.0)}
-    images = [each for axes in drawn(errors).axes for each in axes.images]
-    every = np.concatenate([each[np.isfinite(each)] for each in errors.values()])
-    assert [each.get_clim() for each in images] == [(0.0, np.percentile(every, 95))] * 2
-    assert [each.get_extent() for each in images] == [list(EXTENT)] * 2
+    images = [drawing for axes in drawn(errors).axes for drawing in axes.images]
+    cells = np.concatenate([raster[np.isfinite(raster)] for raster in errors.values()])
+    assert [drawing.get_clim() for drawing in images] == [(0.0, np.percentile(cells, 95))] * 2
+    assert [drawing.get_extent() for drawing in images] == [list(EXTENT)] * 2
 
 
 def test_a_panel_says_the_root_mean_square_of_its_cells():
     errors = {"gt": image(1.0)}
-    said = [text.get_text() for text in drawn(errors).texts]
-    assert f"GT: {np.sqrt(np.nanmean(errors['gt'].astype(float) ** 2)):.3g} m" in said
+    texts = [text.get_text() for text in drawn(errors).texts]
+    assert f"GT: {np.sqrt(np.nanmean(errors['gt'].astype(float) ** 2)):.3g} m" in texts
 
 
 def test_a_map_without_overlap_can_be_drawn():

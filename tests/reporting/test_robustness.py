@@ -53,7 +53,7 @@ def test_the_share_itself_is_of_whole_closures(stress: StressTest):
 
 def test_kernels_are_judged_from_where_the_first_ended(stress: StressTest):
     starts = robustness.from_standard_starts(stress.rows).groupby("kernel")["start"].unique()
-    assert {kernel: list(each) for kernel, each in starts.items()} == {
+    assert {kernel: list(names) for kernel, names in starts.items()} == {
         "cauchy": ["corrupted"],
         "gnc": ["cauchy"],
         "plain": ["corrupted"],
@@ -106,9 +106,9 @@ def test_a_kernel_that_failed_once_does_not_withstand_false_closures(stress: Str
 
 def test_a_kernel_that_failed_in_every_run_of_a_method_does_not_withstand_by_the_others(stress: StressTest):
     rows = stress.rows.copy()
-    every = (rows["kernel"] == "cauchy") & (rows["method"] == "constant") & (rows["survey"] == "borno_8")
-    rows.loc[every, "failed"] = True
-    rows.loc[every, "truth_rmse_xyz_m"] = np.nan
+    runs = (rows["kernel"] == "cauchy") & (rows["method"] == "constant") & (rows["survey"] == "borno_8")
+    rows.loc[runs, "failed"] = True
+    rows.loc[runs, "truth_rmse_xyz_m"] = np.nan
     text = advice(rows, stress)
     assert "Use gnc:" in text
     assert f"cauchy {text_table.UNKNOWN} (" in text

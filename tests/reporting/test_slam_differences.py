@@ -39,7 +39,7 @@ def benchmark(rows: pd.DataFrame) -> results.Test:
 def differences(rows: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """Return network's errors less the methods', of the benchmark's rows by survey."""
     return slam_numbers.differences(
-        {name: slam_numbers.summarise(name, benchmark(each), SETTINGS) for name, each in rows.items()}
+        {name: slam_numbers.summarise(name, benchmark(own), SETTINGS) for name, own in rows.items()}
     )
 
 
@@ -54,7 +54,7 @@ def test_what_all_methods_share_drops_out():
 def test_seeing_every_noise_twice_makes_no_interval_narrower():
     once = rows(first=3, noise=0.3)
     twice = pd.concat([once, once.assign(repetition=once["repetition"] + 3)])
-    ends = [differences({"borno_8": each})[["ci_low", "ci_high"]].astype(float) for each in (once, twice)]
+    ends = [differences({"borno_8": repeated})[["ci_low", "ci_high"]].astype(float) for repeated in (once, twice)]
     assert (ends[0]["ci_high"] > ends[0]["ci_low"]).all()
     pd.testing.assert_frame_equal(*ends)
 
@@ -65,16 +65,16 @@ def test_every_draw_counts_with_as_many_noises():
 
 
 def test_what_has_no_solution_is_left_out_of_its_method_only():
-    of = rows()
-    of.loc[(of["method"] == "censi") & (of["draw"] == 1), list(slam_numbers.MEASURES)] = np.nan
-    result = differences({"borno_8": of})
+    table = rows()
+    table.loc[(table["method"] == "censi") & (table["draw"] == 1), list(slam_numbers.MEASURES)] = np.nan
+    result = differences({"borno_8": table})
     assert result[result["method"] == "censi"]["difference_m"].to_numpy() == pytest.approx(-40.0)
     assert set(result["method"]) == set(OFF) - {"network"}
 
 
 def test_a_survey_without_truth_or_without_network_has_no_rows_and_the_figure_says_so():
     blind = rows().assign(**dict.fromkeys(slam_numbers.MEASURES, np.nan))
-    alone = rows()[lambda each: each["method"] != "network"]
+    alone = rows()[lambda table: table["method"] != "network"]
     empty = differences({"mine": blind, "other": alone})
     assert empty.empty
     assert "no test survey" in method_plots.slam_differences(empty).texts[0].get_text()

@@ -8,16 +8,16 @@ from pointnetkl.reporting.slam import maps as slam_maps
 from pointnetkl.reporting.slam.maps import Seabed
 
 
-def seabed(**off_m: float) -> Seabed:
+def seabed(**offsets_m: float) -> Seabed:
     """A plane that slopes to the east, at trajectories that are so many metres west of the truth."""
     x, y = np.mgrid[0:200:2.0, 0:100:2.0].reshape(2, -1)
     points = np.stack([x, y, -50 - 0.1 * x], -1)
-    return Seabed({**{which: points - [off, 0, 0] for which, off in off_m.items()}, "truth": points}, 2.0)
+    return Seabed({**{name: points - [offset, 0, 0] for name, offset in offsets_m.items()}, "truth": points}, 2.0)
 
 
-def images(of: Seabed) -> list[np.ndarray]:
+def images(maps: Seabed) -> list[np.ndarray]:
     """Return what the figure's maps show, differences last: depth and shade of each trajectory come before."""
-    figure = slam_maps.bathymetry({"borno_8": of})
+    figure = slam_maps.bathymetry({"borno_8": maps})
     return [np.ma.filled(image.get_array(), np.nan) for axes in figure.axes for image in axes.images]
 
 
@@ -38,5 +38,5 @@ def test_depths_share_one_scale():
 
 
 def test_maps_that_agree_or_never_meet_are_drawn():
-    for of in (seabed(corrupted=0.0), seabed(corrupted=1e4)):
-        assert plots.png(slam_maps.bathymetry({"mine": of}))
+    for maps in (seabed(corrupted=0.0), seabed(corrupted=1e4)):
+        assert plots.png(slam_maps.bathymetry({"mine": maps}))

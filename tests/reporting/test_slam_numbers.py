@@ -28,8 +28,8 @@ def rows(seed: int = 0, better_m: float = 0.1) -> pd.DataFrame:
         for repetition in range(MANY if draw == 0 else FEW):
             error = of_draw[draw] + rng.normal(0, 2)
             for method, more in (("network", 0.0), ("constant", better_m + rng.normal(0, 0.03)), ("twin", 0.0)):
-                which = {"variant": "table", "method": method, "draw": draw, "repetition": repetition}
-                table.append({**which, **dict.fromkeys(ERRORS, error + more)})
+                run = {"variant": "table", "method": method, "draw": draw, "repetition": repetition}
+                table.append({**run, **dict.fromkeys(ERRORS, error + more)})
                 if method == "constant":
                     table.append({**table[-1], "variant": "authors", **dict.fromkeys(ERRORS, error + 5)})
     return pd.DataFrame(table)[RUN + ERRORS]
@@ -77,8 +77,8 @@ def test_pairing_tells_apart_what_draws_would_hide():
 def test_where_network_is_worse_the_interval_says_so():
     worse = slam_numbers.summarise("toy", benchmark(rows(better_m=-0.1)), SETTINGS)["constant"]
     assert worse["network_p"] > 0.99
-    for which in ("", "_se2", "_relative"):
-        assert 0 < worse[f"network_minus{which}_ci95_m"][0] < worse[f"network_minus{which}_m"]
+    for measure in ("", "_se2", "_relative"):
+        assert 0 < worse[f"network_minus{measure}_ci95_m"][0] < worse[f"network_minus{measure}_m"]
 
 
 def test_a_twin_of_network_is_no_better_and_no_test_says_so():
@@ -131,9 +131,9 @@ def test_the_tables_have_a_row_a_method_and_a_row_a_variant():
     assert over["method"].tolist() == ["network", "constant", "twin"]
     assert over["network_p"].tolist()[0] is None
     constant = over[over["method"] == "constant"].iloc[0]
-    for which in ("", "_se2", "_relative"):
-        limits = constant[f"ci_low_minus{which}"], constant[f"ci_high_minus{which}"]
-        assert limits == NUMBERS["constant"][f"network_minus{which}_ci95_m"]
+    for measure in ("", "_se2", "_relative"):
+        limits = constant[f"ci_low_minus{measure}"], constant[f"ci_high_minus{measure}"]
+        assert limits == NUMBERS["constant"][f"network_minus{measure}_ci95_m"]
     assert list(over.columns).index("ci_high_minus") == list(over.columns).index("network_p") - 1
     both = slam_tables.variants({"toy": slam_numbers.variants(TEST)}, DATASETS).frame
     assert both["variant"].tolist() == ["table", "authors"]

@@ -17,14 +17,19 @@ SQUARE = 100.0 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0.2, 
 
 def tracks(truth: bool = True) -> Tracks:
     """A square track with one loop closure, solved well by one method and badly by another."""
-    known = {"truth": SQUARE} if truth else {}
-    positions = {**known, "gt": SQUARE + np.array([1, 0, 0]), "navigation": 1.01 * SQUARE, "corrupted": 1.2 * SQUARE}
+    reference = {"truth": SQUARE} if truth else {}
+    positions = {
+        **reference,
+        "gt": SQUARE + np.array([1, 0, 0]),
+        "navigation": 1.01 * SQUARE,
+        "corrupted": 1.2 * SQUARE,
+    }
     return Tracks({**positions, "network": 1.02 * SQUARE, "constant": 1.05 * SQUARE}, np.array([[0, 4]]))
 
 
 def frames(axes: Axes) -> list[Rectangle]:
     """Return the frames of the maps in an axes."""
-    return [each for each in axes.get_children() if isinstance(each, Rectangle) and each is not axes.patch]
+    return [child for child in axes.get_children() if isinstance(child, Rectangle) and child is not axes.patch]
 
 
 def test_there_is_a_map_for_each_trajectory_and_one_for_each_method_s_displacement():
@@ -50,17 +55,17 @@ def test_a_map_turned_and_moved_as_a_whole_has_no_displacement():
 
 
 def test_what_is_drawn_is_the_truth_plus_the_magnified_displacement():
-    of = tracks()
-    factor = trajectories.magnification(of)
+    square = tracks()
+    factor = trajectories.magnification(square)
     assert factor > 1
-    drawn = trajectories.trajectories({"borno_8": of}).axes[1].collections[0].get_segments()  # of the first map
-    assert drawn[0][1] == pytest.approx(SQUARE[1, :2] + factor * of.displacements("network")[1])
+    drawn = trajectories.trajectories({"borno_8": square}).axes[1].collections[0].get_segments()  # of the first map
+    assert drawn[0][1] == pytest.approx(SQUARE[1, :2] + factor * square.displacements("network")[1])
 
 
 def test_a_method_that_gave_up_does_not_set_the_scale_of_the_others():
-    of = tracks()
-    worse = {**of.positions, "cello": 1.02 * SQUARE, "hessian": 9.0 * SQUARE}
-    assert trajectories.magnification(Tracks(worse, of.closures)) >= 0.5 * trajectories.magnification(of)
+    square = tracks()
+    worse = {**square.positions, "cello": 1.02 * SQUARE, "hessian": 9.0 * SQUARE}
+    assert trajectories.magnification(Tracks(worse, square.closures)) >= 0.5 * trajectories.magnification(square)
 
 
 def test_a_survey_without_truth_and_closures_is_compared_with_gt():

@@ -164,7 +164,7 @@ def _by_method(survey: str, surveys: Mapping[str, Closures]) -> Iterator[tuple[s
                 {
                     **_calibration(errors, q),
                     **{f"placed_{name}": placed.get(name) for name in _PLACED_MEASURES},
-                    **_corrections(errors, q, [each for each in elsewhere if len(each[0])]),
+                    **_corrections(errors, q, [other for other in elsewhere if len(other[0])]),
                 },
             )
 

@@ -108,7 +108,7 @@ def slam_error(slam: pd.DataFrame) -> Figure:
 def slam_differences(differences: pd.DataFrame) -> Figure:
     """Draw network's error against the truth less each method's, with the 95 % interval: left of 0 network is better.
 
-    `differences` is slam_differences.differences: a column of panels for each survey, a row for each measure. What
+    `differences` is slam.numbers.differences: a column of panels for each survey, a row for each measure. What
     lies far beyond the others stands at the border, its number beside it.
     """
     if differences.empty:
@@ -131,7 +131,7 @@ def slam_differences(differences: pd.DataFrame) -> Figure:
 def slam_both_ways(both: pd.DataFrame) -> Figure:
     """Draw each method's error against the truth as it should be (filled) and with the authors' slips (hollow).
 
-    `both` is slam_differences.both_ways.
+    `both` is slam.numbers.both_ways.
     """
     if both.empty:
         return sheet.nothing("no test survey has the truth and was solved both ways")

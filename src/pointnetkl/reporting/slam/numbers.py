@@ -136,7 +136,7 @@ def _differences(survey: str, numbers: Numbers) -> Iterator[dict[str, Any]]:
 
 
 def _solved(numbers: Numbers) -> list[tuple[str, Numbers]]:
-    return [(name, each) for name, each in numbers.items() if isinstance(each, Mapping) and name not in REFERENCES]
+    return [(name, own) for name, own in numbers.items() if isinstance(own, Mapping) and name not in REFERENCES]
 
 
 def _sizes(test: Test) -> dict[str, Any]:
