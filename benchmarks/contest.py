@@ -72,7 +72,7 @@ class Contest:
         with full:
             found = gicp.register_noisy(*arguments)
         with drawing:
-            drawn = noise.of_runs(len(moves), len(self._points))
+            drawn = noise.draw(len(moves), len(self._points))
         with timed_normals:
             self._normals(drawn)
         with with_yaw:
@@ -96,7 +96,7 @@ class Contest:
         rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(clean.neighbourhoods)
         upwards = np.empty(3 * (n + normals.LANES), np.float32)
         for shifts in np.swapaxes(drawn, 1, 2):
-            normals.of_copy(clean.points, shifts, clean.neighbourhoods, clean.lists, rows, sums, upwards)
+            normals.fill_normals(clean.points, shifts, clean.neighbourhoods, clean.lists, rows, sums, upwards)
 
     def _small_gicp(self, moves: np.ndarray, noise: gicp.Noise) -> Row:
         copies = self._copies(moves, noise)
@@ -122,7 +122,7 @@ class Contest:
         return {"open3d_ms": 1e3 * float(np.mean([each.seconds for each in found])), "open3d_cores": clock.cores}
 
     def _copies(self, moves: np.ndarray, noise: gicp.Noise) -> np.ndarray:
-        drawn = noise.of_runs(len(moves), len(self._points))
+        drawn = noise.draw(len(moves), len(self._points))
         # in one piece, or each library would copy its own into one while it is timed
         return np.ascontiguousarray(self._points + np.pad(moves, ((0, 0), (0, 1)))[:, None] + drawn)
 

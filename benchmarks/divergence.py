@@ -83,7 +83,7 @@ class Pair:
         )
 
     def _copy(self, move: np.ndarray, noise: gicp.Noise) -> reference.Cloud:
-        points = self.source.points + np.append(move, 0) + noise.of_runs(1, len(self.source.points))[0]
+        points = self.source.points + np.append(move, 0) + noise.draw(1, len(self.source.points))[0]
         return reference.Cloud(points, reference.normals(points, self.source.lists))
 
     def _register(

@@ -33,7 +33,7 @@ def test_the_kernel_agrees_with_the_reference_within_a_millimetre(kind: str) -> 
     translations = gicp.register_noisy(cloud, cloud, moves(100), NOISE, FINE).T_target_copy.translation
     target = reference.Cloud(cloud.points, reference.normals(cloud.points, cloud.lists))
     expected = []
-    for move, noise in zip(moves(100), NOISE.of_runs(100, len(cloud.points)), strict=True):
+    for move, noise in zip(moves(100), NOISE.draw(100, len(cloud.points)), strict=True):
         moved = cloud.points + np.append(move, 0) + noise
         copy = reference.Cloud(moved, reference.normals(moved, cloud.lists))
         expected.append(reference.register(copy, target, FINE)[0].translation)
@@ -126,7 +126,7 @@ def test_the_kernel_with_yaw_agrees_with_the_reference_within_a_millimetre_and_a
     points = cloud.points - cloud.centre
     target = reference.Cloud(points, reference.normals(points, cloud.lists))
     expected = []
-    for move, noise in zip(moves(50), NOISE.of_runs(50, len(points)), strict=True):
+    for move, noise in zip(moves(50), NOISE.draw(50, len(points)), strict=True):
         moved = points + np.append(move, 0) + noise
         copy = reference.Cloud(moved, reference.normals(moved, cloud.lists))
         expected.append(reference.register(copy, target, with_yaw(FINE))[0])

@@ -61,7 +61,7 @@ def test_a_yaw_about_another_centre_is_a_yaw_and_a_shift():
     cloud = gicp.prepare(submap("rugged").points, WITH_YAW)
     solution = gicp.solve(cloud, cloud, NOISE, WITH_YAW)
     place = np.array([5.0, -3.0, 0.0])
-    moved = solution.about(place).jacobian
+    moved = solution.with_centre(place).jacobian
     yaw = 0.01
     # a turn about the place takes the centre to place - R place
     shift = place[:2] - [place[0] - yaw * place[1], place[1] + yaw * place[0]]
@@ -71,7 +71,7 @@ def test_a_yaw_about_another_centre_is_a_yaw_and_a_shift():
 def test_the_copy_is_the_one_that_is_registered():
     cloud = gicp.prepare(submap("rugged").points, FINE[2])
     points, normals = linearised.noisy_copy(cloud, cloud, NOISE)
-    np.testing.assert_allclose(points - cloud.points, NOISE.of_runs(1, len(points))[0], atol=1e-6)
+    np.testing.assert_allclose(points - cloud.points, NOISE.draw(1, len(points))[0], atol=1e-6)
     near = points[cloud.lists]
     centred = near - near.mean(axis=1, keepdims=True)
     plane = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]

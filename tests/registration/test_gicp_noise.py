@@ -28,7 +28,7 @@ def test_philox_gives_the_published_answers(
 
 
 def test_noise_is_normal_in_every_coordinate_and_independent_between_them() -> None:
-    drawn = gicp.Noise(sigma_m=2.0, key=99).of_runs(100, 2000) / 2.0
+    drawn = gicp.Noise(sigma_m=2.0, key=99).draw(100, 2000) / 2.0
     for axis in range(3):
         assert stats.kstest(drawn[..., axis].ravel(), "norm").pvalue > 1e-3
     flat = drawn.reshape(-1, 3).astype(np.float64)
@@ -39,23 +39,23 @@ def test_noise_is_normal_in_every_coordinate_and_independent_between_them() -> N
 
 
 def test_neighbouring_points_runs_and_keys_have_unrelated_noise() -> None:
-    drawn = gicp.Noise(1.0, 5).of_runs(200, 1000).astype(np.float64)
-    other = gicp.Noise(1.0, 6).of_runs(200, 1000)
+    drawn = gicp.Noise(1.0, 5).draw(200, 1000).astype(np.float64)
+    other = gicp.Noise(1.0, 6).draw(200, 1000)
     for a, b in ((drawn[1:], drawn[:-1]), (drawn[:, 1:], drawn[:, :-1]), (drawn, other)):
         assert abs(np.mean(a * b)) < 5 / np.sqrt(a.size)
 
 
 def test_a_run_has_the_same_noise_in_every_batch_and_for_every_number_of_points() -> None:
-    whole = gicp.Noise(0.3, 2**63 - 1).of_runs(10, 100)
-    assert np.array_equal(gicp.Noise(0.3, 2**63 - 1, first=7).of_runs(3, 50), whole[7:, :50])
+    whole = gicp.Noise(0.3, 2**63 - 1).draw(10, 100)
+    assert np.array_equal(gicp.Noise(0.3, 2**63 - 1, first=7).draw(3, 50), whole[7:, :50])
 
 
 def test_runs_beyond_32_bits_have_noise_of_their_own() -> None:
-    assert not np.array_equal(gicp.Noise(1.0, 5, 2**32).of_runs(1, 10), gicp.Noise(1.0, 5).of_runs(1, 10))
+    assert not np.array_equal(gicp.Noise(1.0, 5, 2**32).draw(1, 10), gicp.Noise(1.0, 5).draw(1, 10))
 
 
 def test_noise_of_sigma_zero_is_zero() -> None:
-    assert not gicp.Noise(0.0, 1).of_runs(2, 10).any()
+    assert not gicp.Noise(0.0, 1).draw(2, 10).any()
 
 
 def test_extreme_words_give_finite_numbers() -> None:

@@ -17,7 +17,7 @@ def copy_normals(cloud: gicp.Cloud, noise: np.ndarray) -> np.ndarray:
     upwards = np.empty(3 * (n + normals.LANES), np.float32)
     rows, sums = np.empty(normals.ROW * n, np.float32), np.zeros_like(source.neighbourhoods)
     shifts = np.ascontiguousarray(noise.T, np.float32)
-    normals.of_copy(source.points, shifts, source.neighbourhoods, source.lists, rows, sums, upwards)
+    normals.fill_normals(source.points, shifts, source.neighbourhoods, source.lists, rows, sums, upwards)
     return upwards[: 3 * n].reshape(-1, 3)
 
 

@@ -38,7 +38,7 @@ def draws(submap: Submap, registration: gicp.Settings) -> tuple[np.ndarray, list
     """Return the points, perturbations and noise that `monte_carlo.errors` registers: the copy moves, then turns."""
     rng = monte_carlo.generator(SETTINGS, submap, Stream.LABEL)
     cloud = gicp.prepare(submap.points, registration)
-    noise = gicp.Noise(SETTINGS.noise_sigma_m, int(rng.integers(1 << 63))).of_runs(RUNS, len(cloud.points))
+    noise = gicp.Noise(SETTINGS.noise_sigma_m, int(rng.integers(1 << 63))).draw(RUNS, len(cloud.points))
     sigmas = monte_carlo.prior_sigmas(SETTINGS, registration.dimensions)
     moved = np.pad(rng.standard_normal((RUNS, len(sigmas))) * sigmas, ((0, 0), (0, 3 - len(sigmas))))
     perturbations = [SE2(np.zeros(2), yaw) @ SE2(np.array([x, y]), 0.0) for x, y, yaw in moved]

@@ -95,7 +95,7 @@ def test_a_quotient_is_the_product_with_the_inverse(a: SE2, b: SE2):
 @given(motions, places)
 def test_a_motion_about_a_centre_is_the_motion_between_two_shifts(a: SE2, centre: np.ndarray):
     there = SE2(centre, 0.0)
-    assert_same(a.about(centre), there @ a @ there.inverse())
+    assert_same(a.from_centre(centre), there @ a @ there.inverse())
 
 
 @few

@@ -195,7 +195,7 @@ def register_perturbed(
     registered = gicp.register_noisy(*pair, perturbations, noise, registration, engine=settings.engine)
     # the perturbation moves the copy, then registration turns it (from the start's yaw on) and moves it
     T_target_source = registered.T_target_copy @ SE2(perturbations[:, :2], 0.0)
-    residual = T_target_source.about(-centroid).log()
+    residual = T_target_source.from_centre(-centroid).log()
     return Outcome(residual[:, : perturbations.shape[1]], registered.converged, registered.iterations)
 
 

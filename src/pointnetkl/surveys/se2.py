@@ -70,7 +70,7 @@ class SE2:
         """Return the motion that undoes this one."""
         return SE2(-rotate(self.translation, -self.yaw), -self.yaw)
 
-    def about(self, centre: np.ndarray) -> "SE2":
+    def from_centre(self, centre: np.ndarray) -> "SE2":
         """Return, about the origin, the motion that this one is about a centre (..., 2): p -> R (p - c) + c + t."""
         return SE2(self.translation + (centre - rotate(centre, self.yaw)), self.yaw)
 

@@ -53,4 +53,4 @@ class SelfRegistration:
         """
         source, target = clouds or self.clouds(submap)
         solution = gicp.solve(source, target, self.noise(submap), self.registration)
-        return solution.about(submap.points.mean(axis=0) - target.centre)
+        return solution.with_centre(submap.points.mean(axis=0) - target.centre)

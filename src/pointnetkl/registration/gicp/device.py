@@ -1,4 +1,4 @@
-"""How the package's kernels are compiled: for a CPU here, and the same device functions for a GPU by cuda.py."""
+"""Compilation of the package's kernels for a CPU; `gicp.cuda` compiles the same device functions for a GPU."""
 
 import hashlib
 from collections.abc import Callable
@@ -29,11 +29,11 @@ _CACHE = Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / f"ker
 def kernel(function: Callable[..., Any], *, reorder: bool = False) -> Any:
     """Compile a function to be called from Python, and keep it on disk for the next process.
 
-    With `reorder` its sums may be taken in another order, eight terms at a time; the order then is the compiler's, so
-    only for a function that calls no other, which is compiled alike whenever it is.
+    With `reorder` the compiler may change the order of sums, to add eight terms at a time. Use it only for a function
+    that calls no other: that one is compiled in the same way every time.
 
-    Numba's cache knows when the function's own file changes; its folder here changes with every file of the package,
-    because a kernel holds what it calls from other files.
+    Numba's cache notices a change of the function's own file only, but a kernel contains what it calls from other
+    files. So the folder of the cache is named by a hash of all files of `gicp`.
     """
     before = config.CACHE_DIR
     config.CACHE_DIR = str(_CACHE)

@@ -90,7 +90,7 @@ def register_noisy(source, target, moves, start_yaws, draws, limits):  # type: i
     first, low, high, sigma = draws
     for b in range(count):
         noise.fill(shifts[0], shifts[1], shifts[2], first + b, low, high, sigma)
-        normals.of_copy(source.points, shifts, source.neighbourhoods, source.lists, rows, sums, copy.normals)
+        normals.fill_normals(source.points, shifts, source.neighbourhoods, source.lists, rows, sums, copy.normals)
         _move(source.points[0], shifts[0], _f32(moves[b, 0]), copy.x)
         _move(source.points[1], shifts[1], _f32(moves[b, 1]), copy.y)
         _move(source.points[2], shifts[2], _f32(0), copy.z)

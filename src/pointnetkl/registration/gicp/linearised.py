@@ -39,7 +39,7 @@ class Linearised:
         """Return it without the I / 2 of every weight, which acts along the seabed too, where a point cannot tell."""
         return replace(self, weights=self.weights - 0.5 * np.eye(3))
 
-    def about(self, centre: np.ndarray) -> "Linearised":
+    def with_centre(self, centre: np.ndarray) -> "Linearised":
         """Return it with the yaw about another centre (3,), in metres from the target's centre."""
         shifts = jacobian(-centre[None], self.jacobian.shape[2]) - jacobian(np.zeros((1, 3)), self.jacobian.shape[2])
         return replace(self, jacobian=self.jacobian + shifts)
@@ -59,10 +59,10 @@ def noisy_copy(source: Cloud, target: Cloud, noise: Noise) -> tuple[np.ndarray, 
     """
     clean = source.as_source(target, np.zeros(3))
     n = clean.points.shape[1]
-    shifts = np.ascontiguousarray(noise.of_runs(1, n)[0].T)
+    shifts = np.ascontiguousarray(noise.draw(1, n)[0].T)
     rows, sums = np.empty(normals.ROW * n, np.float32), np.empty_like(clean.neighbourhoods)
     upwards = np.empty(3 * (n + normals.LANES), np.float32)
-    normals.of_copy(clean.points, shifts, clean.neighbourhoods, clean.lists, rows, sums, upwards)
+    normals.fill_normals(clean.points, shifts, clean.neighbourhoods, clean.lists, rows, sums, upwards)
     return source.points + shifts.T, upwards[: 3 * n].reshape(n, 3).astype(np.float64)
 
 

@@ -28,7 +28,7 @@ class Target(NamedTuple):
     columns: int
     rows: int
     candidates: np.ndarray  # (cells 48,) float32 metres: 16 x, 16 y, 16 z of the points nearest to each cell's centre
-    numbers: np.ndarray  # (cells 16,) int32: which points these are, -1: none
+    numbers: np.ndarray  # (cells 16,) int32: the points' numbers, -1: none
     reach: np.ndarray  # (cells,) float32 metres: any other point is farther than this from the centre, in x and y
     margin: np.float32  # metres: more than what rounding moves a distance by
 
@@ -81,8 +81,8 @@ def _insert(j, square, near, squares):  # type: ignore[no-untyped-def]
 def look_up(x, y, z, target):  # type: ignore[no-untyped-def]
     """Return the two nearest candidates of a point's cell, their distances, and whether no other point is nearer.
 
-    Of points whose distances differ by less than a millionth part, either may be called the nearer one. Without
-    branches, and with no array in a variable of its own: each costs more than the search.
+    Of two points whose distances differ by less than a millionth part, either may come first. The function has no
+    branches, and no variable that holds an array: each would cost more than the search.
     """
     inverse = _f32(1) / target.cell
     column = min(max(int((x - target.x0) * inverse), 0), target.columns - 1)

@@ -16,22 +16,22 @@ _LN2, _QUARTER_TURN = _f32(np.log(2)), _f32(np.pi / 2)
 
 @dataclass(frozen=True)
 class Noise:
-    """Independent noise N(0, sigma_m^2) on every coordinate of every point of run `first` and those after it."""
+    """Independent noise N(0, sigma_m^2) on every coordinate of every point, of run `first` and the following runs."""
 
     sigma_m: float
-    key: int  # one for each submap and purpose; its last 64 bits count
+    key: int  # another one for each submap and purpose; its last 64 bits are used
     first: int = 0
 
-    def of_runs(self, count: int, points: int) -> np.ndarray:
+    def draw(self, count: int, points: int) -> np.ndarray:
         """Return the noise of `count` runs, (count, points, 3) float32 in metres."""
         noise = np.empty((count, 3, points), np.float32)
-        first, low, high, sigma = self.draws()
+        first, low, high, sigma = self.as_arguments()
         for run, (x, y, z) in enumerate(noise):
             fill(x, y, z, first + run, low, high, sigma)
         return noise.transpose(0, 2, 1)
 
-    def draws(self) -> tuple[int, np.uint32, np.uint32, np.float32]:
-        """Return the first run, the key's lower and upper half, and sigma: what kernels take."""
+    def as_arguments(self) -> tuple[int, np.uint32, np.uint32, np.float32]:
+        """Return the first run, the key's lower and upper half, and sigma, as kernels take them."""
         return self.first, _u32(self.key & 0xFFFFFFFF), _u32(self.key >> 32 & 0xFFFFFFFF), _f32(self.sigma_m)
 
 

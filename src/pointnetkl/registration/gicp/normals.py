@@ -37,7 +37,7 @@ def from_neighbourhoods(clean: np.ndarray, count: int) -> np.ndarray:
 
 
 @kernel
-def of_copy(points, noise, clean, lists, rows, sums, normals):  # type: ignore[no-untyped-def]
+def fill_normals(points, noise, clean, lists, rows, sums, normals):  # type: ignore[no-untyped-def]
     """Fill the normals of a copy of points (3, n) by noise (3, n), flat, from the clean cloud's neighbourhoods.
 
     With p + e for p the scatter of k neighbours grows by sum(p e^T + e p^T + e e^T) - m s^T - s m^T - s s^T / k, where

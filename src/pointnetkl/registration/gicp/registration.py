@@ -86,7 +86,7 @@ def register_noisy(
         target.as_target,
         np.ascontiguousarray(moves[:, :2], np.float64),
         start_yaws,
-        noise.draws(),
+        noise.as_arguments(),
         limits(settings),
     )
     return Registrations(SE2.from_vector(motions), converged, iterations)

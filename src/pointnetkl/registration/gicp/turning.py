@@ -1,4 +1,4 @@
-"""A step of the registration with yaw: the source's normals turn with it, so M changes at every step."""
+"""A step of the registration with yaw. The source's normals turn with it, so every M changes at every step."""
 
 import math
 
@@ -12,7 +12,7 @@ _f32, _u64 = np.float32, np.uint64
 
 @device
 def lever(x, y):  # type: ignore[no-untyped-def]
-    """Return how far a typical point (x, y) moves when the cloud turns by a radian, metres."""
+    """Return the metres that a typical point (x, y) moves when the cloud turns by a radian (root mean square)."""
     total = 0.0
     for i in range(len(x)):
         total += x[i] * x[i] + y[i] * y[i]

@@ -1,4 +1,4 @@
-"""A match's weight and its part of the sums that a step is solved from."""
+"""The weight of a match, its terms in the sums of a step, and the step in x and y from these sums."""
 
 import numpy as np
 

@@ -140,10 +140,10 @@ class Ground:
 
     def _register(self, source: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
         centre = self._target.centre
-        outcome = gicp.register(source, self._target, self._registration, start.about(-centre[:2]))
+        outcome = gicp.register(source, self._target, self._registration, start.from_centre(-centre[:2]))
         if outcome.matched_share == 0:
             return None
-        return outcome.T_target_source.about((self._origin + centre)[:2]), outcome.converged
+        return outcome.T_target_source.from_centre((self._origin + centre)[:2]), outcome.converged
 
     def _over_target(self, points: np.ndarray, start: SE2) -> np.ndarray:
         # Points beyond the target's edge would match its border. On flat ground nothing counters them, and they drag a
@@ -196,8 +196,10 @@ class _FrontEnd:
         self._centroids.append(points[:, :2].mean(axis=0))
         self._place((self.correction / drift).act(cloud), self.correction.act_on_pose(T_map_submap))
         if outcome is not None:
-            start = perturbation.about(cloud.mean(axis=0)[:2]) @ drift
-            before, after = (motion.about(-T_map_submap[:2, 3]).to_vector() for motion in (start, self.correction))
+            start = perturbation.from_centre(cloud.mean(axis=0)[:2]) @ drift
+            before, after = (
+                motion.from_centre(-T_map_submap[:2, 3]).to_vector() for motion in (start, self.correction)
+            )
             self._connect(targets, _Registration(i, before, after, outcome[1]))
         elif len(targets):
             self._rejected.append(i)

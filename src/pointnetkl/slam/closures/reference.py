@@ -46,7 +46,7 @@ def add(
     S_j = S_j[cKDTree(fused[:, :2]).query(S_j[:, :2])[0] < reach]  # points beyond would match the edge of the targets
     source, target = (reference.prepare(points, registration) for points in (S_j, fused))
     z_j, _, _ = reference.register(source, target, registration)  # GICP
-    correction = (z_j @ perturbation).about(origin[:2])
+    correction = (z_j @ perturbation).from_centre(origin[:2])
     corrected = Node(submap.points, correction.act_on_pose(submap.T_map_submap))  # Correct: S'_i
     graph.append(corrected)
     return [(k, np.linalg.inv(graph[k].T_map_submap) @ corrected.T_map_submap) for k in S_LC]  # AddLCedge

@@ -119,7 +119,7 @@ def residual_errors(residual: np.ndarray, centroid: np.ndarray | None) -> np.nda
     """Return residuals (n, 4, 4), identity at best, as errors (n, M): M = 2, or 3 with the centroids (n, 2)."""
     if centroid is None:
         return np.asarray(residual[:, :2, 3])
-    return SE2.from_matrix(residual).about(-centroid).log()
+    return SE2.from_matrix(residual).from_centre(-centroid).log()
 
 
 def registration_errors(closures: Closures, poses: np.ndarray) -> np.ndarray:

@@ -114,7 +114,7 @@ def arguments(
         cuda_kernel.Source(lane.put("source", points), lane.put("lists", lists)),
         _put_target(lane, cuda_matching.interleaved(target.as_target)),
         lane.put("moves", np.asarray(translations, np.float32)),
-        noise.draws(),
+        noise.as_arguments(),
         limits,
         _room(lane, n, runs),
         cuda_kernel.Outcomes(

@@ -1,9 +1,9 @@
 """The kernel for an NVIDIA GPU: a thread block draws a noisy copy, estimates its normals and aligns it alone.
 
-It does what kernel.register_noisy does in x and y, by the same device functions. What a block keeps of its copy stands
-in the GPU's memory, laid out so that threads side by side read numbers side by side. No sum depends on timing: the
-points to be searched are listed in their own order, and block-wide sums are trees of fixed shape, so a run's answer is
-the same in whatever launch it is made.
+It does what kernel.register_noisy does in x and y, with the same device functions. A block keeps the state of its copy
+in the GPU's memory, in an order in which neighbouring threads read neighbouring numbers. No sum depends on timing: the
+points to be searched are listed in their own order, and block-wide sums are trees of fixed shape. So a run has the same
+result in every launch.
 """
 
 import math
@@ -31,7 +31,7 @@ class Source(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What every block keeps of its copy; the room of one block has no first axis."""
+    """The state of every block's copy; the room of a single block has no first axis."""
 
     points: np.ndarray  # (blocks, 3, n) float32 metres, before the copy is moved
     normals: np.ndarray  # (blocks, 3, n) float32
@@ -54,8 +54,8 @@ class Outcomes(NamedTuple):
 def register_noisy(source, target, moves, draws, limits, room, outcomes):  # type: ignore[no-untyped-def]
     """Register copies of a Source, each moved by (x, y) of moves (b, 2) and noise, onto a target.
 
-    The target is one of cuda_matching.interleaved. Blocks are of a power of two of threads, with `shared_bytes` of
-    shared memory; there is a Room for each.
+    The target comes from cuda.matching.interleaved. A block has a power of two of threads, `shared_bytes` of shared
+    memory, and its part of the Room.
     """
     shared = cuda.shared.array(0, float64)
     b = cuda.blockIdx.x
@@ -71,7 +71,7 @@ def register_noisy(source, target, moves, draws, limits, room, outcomes):  # typ
 
 
 def shared_bytes(threads: int) -> int:
-    """Return how much shared memory a block of so many threads takes."""
+    """Return the bytes of shared memory that a block of so many threads needs."""
     return 8 * weights.TERMS * (threads + 1)
 
 

@@ -1,8 +1,8 @@
-"""matching.py's search for threads side by side: candidates by number, so that a cloud is read from the nearest cache.
+"""The search of `gicp.matching` for neighbouring threads: candidates by number, so that a cloud stays in the cache.
 
-The CPU's table holds a candidate's coordinates for every cell that has it, 16 times the cloud, which a GPU would fetch
-from far for every search. Here a cell names its candidates, in ascending order and interleaved with those of the cells
-beside it: searches side by side then read numbers, and coordinates, side by side.
+The CPU's table holds the coordinates of a candidate in every cell that has it, 16 times the cloud: too much for a GPU's
+cache. Here a cell holds the numbers of its candidates, in ascending order and interleaved with those of its neighbours,
+so that neighbouring threads read neighbouring numbers and coordinates.
 """
 
 import math
