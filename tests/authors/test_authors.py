@@ -1,4 +1,4 @@
-"""The paper's own data by one command: tables beside the paper's, from arrays in the authors' format."""
+"""One command makes tables beside the paper's from arrays in the authors' format."""
 
 import json
 import runpy

@@ -1,4 +1,4 @@
-"""The authors' arrays: every row is checked, and what is known of units and frames is kept."""
+"""The authors' arrays: every row is checked, with its units and frames."""
 
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,7 @@ def test_a_file_without_rows_is_refused(tmp_path: Path):
         consolidated.read(tmp_path / "borno.npy")
 
 
-def test_a_prior_that_is_not_the_paper_s_is_told(tmp_path: Path):
+def test_a_prior_that_is_not_the_paper_s_is_reported(tmp_path: Path):
     read = consolidated.read(authors_arrays.write(tmp_path / "baltic.npy", authors_arrays.rows(3)))
     assert read.prior_note() == ""
     sampled = changed(prior=np.diag([8.8, 9.3]))

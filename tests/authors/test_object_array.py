@@ -1,4 +1,4 @@
-"""Object arrays: what np.save writes comes back, and nothing that a file asks for is done."""
+"""Object arrays: arrays of np.save are read, and nothing in a file is executed."""
 
 import os
 import pickle
@@ -216,7 +216,7 @@ def test_what_is_no_file_of_objects_is_refused(tmp_path: Path, content: bytes, c
     assert cause in refusal(tmp_path, content)
 
 
-def test_a_missing_file_is_told(tmp_path: Path):
+def test_a_missing_file_is_reported(tmp_path: Path):
     with pytest.raises(object_array.ObjectArrayError, match=r"absent\.npy: cannot be read \(No such file"):
         list(object_array.rows(tmp_path / "absent.npy", 6))
 

@@ -1,4 +1,4 @@
-"""Damage to raw files, and what must hold of whatever a reader makes of it."""
+"""Damage to raw files, and checks of what a reader makes of it."""
 
 import random
 import struct

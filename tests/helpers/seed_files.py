@@ -1,4 +1,4 @@
-"""Small sound files of every raw format, to be damaged: made here, and the beginnings of real ones where there are."""
+"""Small whole files of every raw format, to be damaged: built here, and the beginnings of real files if present."""
 
 import io
 import struct

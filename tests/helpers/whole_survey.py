@@ -1,4 +1,4 @@
-"""A survey with all its soundings in one table, as tests want it and memory seldom does."""
+"""A survey with all its soundings in one table, for tests."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -183,18 +183,18 @@ class Ship:
         turn = self.turn(time_s)
         ahead = (turn * mounted).apply([1.0, 0.0, 0.0])
         side = np.array([-np.sin(np.deg2rad(HEADING)), np.cos(np.deg2rad(HEADING))])
-        way = np.array([side[1], -side[0]])
-        at = np.append(self.place(time_s) + turn.apply(self.offset)[:2], self.depth(time_s))
+        forward = np.array([side[1], -side[0]])
+        sonar_place = np.append(self.place(time_s) + turn.apply(self.offset)[:2], self.depth(time_s))
         travel, angle, places = [], [], []
         for y in across:
             x = 0.0
             for _ in range(30):  # until the seabed's place lies in the fan
-                spot = self._seabed(at[:2] + y * side + x * way)
-                x -= float((spot - at) @ ahead) / float(way @ ahead[:2])
-            spot = self._seabed(at[:2] + y * side + x * way)
-            time = 2.0 * float(np.linalg.norm(spot - at)) / SPEED
-            back = spot - np.append(at[:2], self.depth(time_s + time))
-            travel.append(float(np.linalg.norm(spot - at) + np.linalg.norm(back)) / SPEED)
+                spot = self._seabed(sonar_place[:2] + y * side + x * forward)
+                x -= float((spot - sonar_place) @ ahead) / float(forward @ ahead[:2])
+            spot = self._seabed(sonar_place[:2] + y * side + x * forward)
+            time = 2.0 * float(np.linalg.norm(spot - sonar_place)) / SPEED
+            back = spot - np.append(sonar_place[:2], self.depth(time_s + time))
+            travel.append(float(np.linalg.norm(spot - sonar_place) + np.linalg.norm(back)) / SPEED)
             heard = (self.turn(time_s + travel[-1]) * mounted).apply([0.0, 1.0, 0.0])
             angle.append(np.arcsin(back @ heard / np.linalg.norm(back)))
             places.append(spot)

@@ -1,4 +1,4 @@
-"""`python -m pointnetkl inspect`: what a raw file holds, whatever it is, before anything is computed from it."""
+"""`python -m pointnetkl inspect`: the facts of any raw file."""
 
 import json
 import shutil
@@ -102,7 +102,7 @@ def test_the_text_says_what_the_json_does(tmp_path: Path, capsys: pytest.Capture
     assert words["skipped"] == "1 pings without a position on the earth, 5 soundings of skipped pings"
 
 
-def test_a_damaged_file_among_good_ones_is_named_and_the_others_are_told(tmp_path: Path):
+def test_a_damaged_file_among_good_ones_is_named_and_the_others_are_reported(tmp_path: Path):
     good, other = parquet(tmp_path / "a.parquet", rows()), parquet(tmp_path / "c.parquet", rows(pings=7))
     (tmp_path / "b.parquet").write_bytes(good.read_bytes()[:700])
     (tmp_path / "d.gsf").touch()
@@ -158,7 +158,7 @@ def test_pings_that_are_all_lost_are_an_error_and_none_at_all_is_not(
     assert facts["problems"] == ["a.lost: holds 60 positions"]
 
 
-def test_of_a_folder_every_raw_file_is_told_in_natural_order_and_nothing_else(
+def test_of_a_folder_every_raw_file_is_reported_in_natural_order_and_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     for name in ("line_10.parquet", "line_2.parquet", "deeper.parquet"):

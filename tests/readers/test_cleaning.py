@@ -1,4 +1,4 @@
-"""Gross errors are flagged and rugged ground is not; pings that stand twice or out of order are counted."""
+"""Outliers are flagged and rugged ground is not; duplicate pings and pings out of order are counted."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -145,20 +145,20 @@ def read_toy(folder: Path, monkeypatch: pytest.MonkeyPatch, pings: list, kind: s
     time, east, downs = zip(*pings, strict=True)
     table = pd.DataFrame(dict.fromkeys(PING_COLUMNS, 0.0), index=range(len(pings)))
     table = table.assign(time_s=time, east=np.add(east, 5e5), north=6e6, depth_m=5.0)
-    each = [
+    soundings = [
         pd.DataFrame(dict.fromkeys(SOUNDING_COLUMNS, 0.0), index=range(len(down))).assign(
             ping=number, beam=range(len(down)), across_m=np.arange(len(down)), down_m=down
         )
         for number, down in enumerate(downs)
     ]
-    part = Recording("toy.toy", "EPSG:32633", table, pd.concat(each).astype({"quality": np.int8}), kind=kind)
+    part = Recording("toy.toy", "EPSG:32633", table, pd.concat(soundings).astype({"quality": np.int8}), kind=kind)
     module = SimpleNamespace(SUFFIXES=(".toy",), begins=lambda head: head == b"toy", read=lambda path: iter([part]))
     monkeypatch.setitem(formats.FORMATS, "toy", module)
     (folder / "toy.toy").write_bytes(b"toy")
     return read_whole(folder / "toy.toy", replace(SETTINGS, outliers=HOW))
 
 
-def test_a_ping_that_stands_twice_counts_once_and_two_heads_are_kept(tmp_path, monkeypatch):
+def test_a_ping_that_is_stored_twice_counts_once_and_two_heads_are_kept(tmp_path, monkeypatch):
     port, starboard = np.full(12, 30.0), np.full(12, 31.0)
     pings = [(1e9 + t, 5.0 * t, down) for t in range(6) for down in (port + t, starboard + t)]
     survey = read_toy(tmp_path, monkeypatch, [*pings, *pings[4:7], pings[4]])

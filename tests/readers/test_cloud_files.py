@@ -1,4 +1,4 @@
-"""Clouds of other programs: the same points from every form, and no point that was not in the file."""
+"""Clouds of other programs: every format gives the same points, and no point that is not in the file."""
 
 from pathlib import Path
 
@@ -60,7 +60,7 @@ def table(separator: str, head: str = "") -> str:
         lambda f: by_numpy(f, "tabs.txt", table("\t", "//X Y Z Q\n")),
     ],
 )
-def test_every_form_gives_the_same_points_whatever_its_name(tmp_path: Path, write):
+def test_every_form_gives_the_same_points_and_not_by_its_name(tmp_path: Path, write):
     path = write(tmp_path)
     renamed = path.rename(tmp_path / "submap.0001")
     points = clouds.read(renamed)

@@ -1,4 +1,4 @@
-"""Whatever bytes a raw file holds, a reader ends in a sentence, or in soundings that are as its report says.
+"""On any bytes a reader ends in one sentence, or in soundings that agree with its report.
 
 Some hundred inputs a reader; `make fuzz` does the same with ten thousand and more.
 """

@@ -1,4 +1,4 @@
-"""Ingest: raw pings in, three tables in one map frame out, and one sentence where that cannot be."""
+"""Ingest: raw pings become three tables in one map frame, or an error is one sentence."""
 
 import subprocess
 import sys
@@ -59,7 +59,7 @@ def test_three_tables_and_a_summary_come_out(folder: Path):
     assert artifacts.read_table(folder / "out/truth.parquet", TRAJECTORY).empty
 
 
-def test_a_file_that_says_none_stands_for_an_unknown_truth(folder: Path):
+def test_a_file_that_says_none_means_an_unknown_truth(folder: Path):
     (folder / "truth.parquet").write_text("none: as data/none does\n")
     assert ingest(folder).returncode == 0
     assert artifacts.read_table(folder / "out/truth.parquet", TRAJECTORY).empty

@@ -1,4 +1,4 @@
-"""Between two samples lies what is between them, the short way round; where no sample is near there is nothing."""
+"""Values between two samples are interpolated, angles along the shorter arc; without a near sample there are none."""
 
 import numpy as np
 

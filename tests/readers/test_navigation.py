@@ -1,4 +1,4 @@
-"""Navigation beside the raw files takes the place of theirs, and what it does not reach is told."""
+"""Navigation beside raw files replaces theirs, and pings that it does not cover are reported."""
 
 import shutil
 from dataclasses import replace
@@ -76,7 +76,7 @@ def later(folder: Path, name: str, seconds: float) -> Path:
     return parquet(folder / name, table.assign(time_s=all_files.BEGIN + seconds + table["time_s"] - 1.5e9), crs=None)
 
 
-def test_navigation_is_known_by_its_content_and_a_log_is_none(survey: Path):
+def test_navigation_is_recognised_by_its_content_and_a_log_is_none(survey: Path):
     sbet(survey, all_files.BEGIN - 1, 15, name="post.out")
     better = read(survey)
     (survey / "log.out").write_text("started at 10:03\nwaves 2 m\n")
@@ -86,7 +86,7 @@ def test_navigation_is_known_by_its_content_and_a_log_is_none(survey: Path):
     assert result.report["problems"][0] == "passed over: 1 file of no known format, log.out"
 
 
-def test_damaged_navigation_is_told_by_its_extension(survey: Path):
+def test_damaged_navigation_is_reported_by_its_extension(survey: Path):
     (survey / "post.sbet").write_bytes(b"\xff" * 1360)
     with pytest.raises(PointNetKLError, match=r"post.sbet: none of 10 records"):
         read(survey)

@@ -1,4 +1,4 @@
-"""Raw surveys: what is read lies where the sonar saw it, and what cannot be read is told in one sentence."""
+"""Raw surveys: soundings are where the sonar saw them, and an error is one sentence."""
 
 import shutil
 from collections.abc import Callable
@@ -122,7 +122,7 @@ def test_files_of_a_folder_make_one_survey_in_the_order_of_time(tmp_path: Path):
     pd.testing.assert_frame_equal(survey.soundings, read(tmp_path.parent, raw).soundings)
 
 
-def test_a_file_that_stands_twice_counts_once(tmp_path: Path):
+def test_a_file_that_is_stored_twice_counts_once(tmp_path: Path):
     parquet(tmp_path / "a.parquet", rows())
     shutil.copy(tmp_path / "a.parquet", tmp_path / "b.parquet")
     survey = read_whole(tmp_path)
@@ -271,7 +271,7 @@ def test_what_is_not_there_or_unknown_is_refused(tmp_path: Path):
     assert "has no raw files, and 1 file of no known format, notes.md; put some there" in refusal(tmp_path)
 
 
-def test_what_stands_beside_raw_files_and_is_none_is_passed_over_and_told(tmp_path: Path):
+def test_other_files_beside_raw_ones_are_ignored_and_reported(tmp_path: Path):
     alone = read(tmp_path, rows())
     (tmp_path / "README.txt").write_text("about these lines\n")
     (tmp_path / "prices.csv").write_text("item,price\ncoffee,3\n")

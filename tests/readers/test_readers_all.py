@@ -1,4 +1,4 @@
-"""Kongsberg .all: the sonar's own numbers, placed by the system that was active, and damage that costs what it hit."""
+"""Kongsberg .all: the sonar's own numbers, placed by the active system; damage costs only the damaged records."""
 
 import json
 import struct
@@ -200,7 +200,7 @@ def test_a_length_that_spans_other_datagrams_does_not_hide_them(tmp_path: Path):
     assert len(read(tmp_path / "small.all", bytes(content)).pings) == 11
 
 
-def test_a_file_that_was_cut_off_gives_what_stands_before_and_says_where(tmp_path: Path):
+def test_a_file_that_was_cut_off_gives_what_is_before_and_says_where(tmp_path: Path):
     content = all_files.survey()
     cut = starts(content, "X")[7]
     recording = read(tmp_path / "small.all", content[: cut + 30])
@@ -232,7 +232,7 @@ def test_a_ping_that_says_what_it_cannot_hold_is_counted(tmp_path: Path):
     assert (len(recording.pings), len(recording.problems)) == (1, 4)
 
 
-def test_of_many_places_of_damage_the_first_are_told_and_the_others_counted(tmp_path: Path):
+def test_the_first_places_of_damage_are_reported_and_the_others_counted(tmp_path: Path):
     content = bytearray(all_files.survey(60))
     for place in starts(content, "X"):
         content[place + 60] ^= 0x10

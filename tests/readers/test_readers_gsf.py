@@ -1,4 +1,4 @@
-"""GSF: the sonar's own numbers, port and starboard the right way round, and damage that costs only what it hit."""
+"""GSF: the sonar's own numbers, port and starboard not confused; damage costs only the damaged records."""
 
 import json
 import subprocess
@@ -182,7 +182,7 @@ def test_the_sensor_is_named_by_the_part_that_is_its_own(tmp_path: Path, kind: i
     assert only(written(tmp_path / "small.gsf", made.swath(0, parts))).sensor == name
 
 
-def test_what_depths_are_below_and_which_corrections_are_left_is_told(tmp_path: Path):
+def test_what_depths_are_below_and_which_corrections_are_left_is_reported(tmp_path: Path):
     parameters = made.parameters(
         TIDAL_DATUM="MLLW", TIDE_COMPENSATED="YES", DRAFT_TO_APPLY="+01.20", ROLL_TO_APPLY="+00.00"
     )
@@ -206,11 +206,11 @@ def test_parts_are_the_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     pd.testing.assert_frame_equal(joined, expected.soundings[columns])
 
 
-def test_a_file_is_known_by_its_content_whatever_its_name(tmp_path: Path):
+def test_a_file_is_recognised_by_its_content_and_not_by_its_name(tmp_path: Path):
     assert len(whole_survey.read(written(tmp_path / "line.d01", *pings())).pings) == 12
 
 
-def test_what_is_not_gsf_or_has_no_pings_is_told(tmp_path: Path):
+def test_what_is_not_gsf_or_has_no_pings_is_reported(tmp_path: Path):
     with pytest.raises(gsf.GsfError, match=r"byte 8 must say GSF-v01 to GSF-v03"):
         only(written(tmp_path / "a.gsf", head=made.header("GSF-v07.01")))
     with pytest.raises(gsf.GsfError, match="cannot be read"):
@@ -220,7 +220,7 @@ def test_what_is_not_gsf_or_has_no_pings_is_told(tmp_path: Path):
     assert empty.problems == ["b.gsf: no ping is among its records"]
 
 
-def test_a_file_that_was_cut_off_gives_what_stands_before_and_says_where(tmp_path: Path):
+def test_a_file_that_was_cut_off_gives_what_is_before_and_says_where(tmp_path: Path):
     records = pings()
     cut = places_of(records)[7]
     path = written(tmp_path / "small.gsf", *records)
@@ -286,7 +286,7 @@ def test_a_time_beyond_its_second_is_not_read(tmp_path: Path):
     assert only(written(tmp_path / "small.gsf", made.swath(0, nanoseconds=2**30))).skipped == {"unreadable pings": 1}
 
 
-def test_only_the_first_places_of_damage_are_told_and_the_others_counted(tmp_path: Path):
+def test_only_the_first_places_of_damage_are_reported_and_the_others_counted(tmp_path: Path):
     torn = [piece for number in range(50) for piece in (*pings(3), b"\xff" * 40)]
     recording = only(written(tmp_path / "small.gsf", *torn))
     assert len(recording.pings) == 150

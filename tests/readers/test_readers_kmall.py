@@ -1,4 +1,4 @@
-"""Kongsberg .kmall: the sonar's own places and depths, in every revision, and damage that costs only what it hit."""
+"""Kongsberg .kmall: the sonar's own places and depths, in every revision; damage costs only the damaged records."""
 
 import itertools
 import re
@@ -276,7 +276,7 @@ def test_pings_without_soundings_do_not_pile_up(tmp_path: Path, monkeypatch: pyt
     assert max(len(part.pings) for part in parts(tmp_path, *[ping(count=0)] * 50)) < 10
 
 
-def test_no_more_than_twenty_damages_are_told(tmp_path: Path):
+def test_no_more_than_twenty_damages_are_reported(tmp_path: Path):
     recording = read(tmp_path, *itertools.chain(*[(ping(TIME_S + number), b"\0" * 30) for number in range(30)]))
     assert (len(recording.problems), recording.problems_omitted) == (20, 10)
     assert len(recording.pings) == 30
@@ -290,7 +290,7 @@ def test_what_is_no_kmall_file_is_refused_in_a_sentence(tmp_path: Path):
         list(kmall.read(tmp_path / "missing.kmall"))
 
 
-def test_a_file_is_known_by_its_first_datagram():
+def test_a_file_is_recognised_by_its_first_datagram():
     assert kmall.begins(installation())
     assert kmall.begins(ping(count=100)[:4096])
     assert not kmall.begins(installation()[:-4] + b"\0\0\0\0")

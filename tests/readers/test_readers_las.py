@@ -1,4 +1,4 @@
-"""LAS and LAZ: the points of an independent reader, their coordinate system, and damage that costs only what it hit."""
+"""LAS and LAZ: points equal an independent reader's, with their CRS; damage costs only the damaged points."""
 
 import io
 import struct
@@ -234,7 +234,7 @@ def test_a_file_that_is_cut_gives_the_points_that_it_has(tmp_path: Path):
     assert part.skipped == {"points cut off": 101}
 
 
-def test_a_count_that_is_not_true_is_told(tmp_path: Path):
+def test_a_count_that_is_not_true_is_reported(tmp_path: Path):
     part = read(changed(write(tmp_path / "a.las", 100, 1), (107, "<I", 60)))
     assert len(part.soundings) == 60
     assert "its header says 60 points, and it has room for 100; 60 are read" in part.problems[0]
@@ -311,6 +311,6 @@ def test_mutated_files_end_in_a_sentence_or_in_declared_points(tmp_path: Path, n
             assert all(np.isfinite(part.soundings.to_numpy(float)).all() for part in parts)
 
 
-def test_a_file_is_known_by_its_first_bytes():
+def test_a_file_is_recognised_by_its_first_bytes():
     assert las.begins(b"LASF\0\0")
     assert not las.begins(io.BytesIO(b"PAR1").read())

@@ -1,4 +1,4 @@
-"""PCD: a submap has the place that its file gives it, a cloud without a pose is a surface, and no count is trusted."""
+"""PCD: a submap has the pose in its file, a cloud without a pose is a surface, and no count is trusted."""
 
 from pathlib import Path
 
@@ -131,7 +131,7 @@ def test_a_copy_within_compressed_bytes_may_reach_into_itself():
             lzf.decompress(damaged, 13)
 
 
-def test_a_file_is_known_by_its_first_word():
+def test_a_file_is_recognised_by_its_first_word():
     assert pcd.begins(b"# .PCD v0.7\nVERSION 0.7\n")
     assert pcd.begins(b"FIELDS x y z\n")
     assert not pcd.begins(b"1 2 3\nVERSION")

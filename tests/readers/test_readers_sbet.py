@@ -1,4 +1,4 @@
-"""SBET: post-processed navigation put in place of a survey's own, at the right second of the right week."""
+"""SBET: post-processed navigation replaces a survey's own, at the right second of the right week."""
 
 import datetime
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_over_a_week_s_end_times_go_on_or_begin_again(tmp_path: Path, again: boo
     assert sbet.begins(path.read_bytes()[:4096])
 
 
-def test_a_file_tells_the_second_of_the_week_and_not_the_week(tmp_path: Path):
+def test_a_file_has_the_second_of_the_week_and_not_the_week(tmp_path: Path):
     time = 604_800 + np.arange(-200, 200) / 50
     navigation = sbet.read_week(write(tmp_path / "a.sbet", records(np.mod(time, 604_800))))
     np.testing.assert_allclose(navigation.time_s, time)
@@ -79,7 +79,7 @@ def test_a_survey_from_before_the_table_of_leap_seconds_is_refused(tmp_path: Pat
         sbet.read(path, datetime.datetime(1997, 7, 14, tzinfo=datetime.UTC).timestamp())
 
 
-def test_a_file_is_known_by_records_of_a_vehicle_that_moves_on():
+def test_a_file_is_recognised_by_records_of_a_vehicle_that_moves_on():
     table = records(OF_WEEK_S + np.arange(30) / 200)
     assert sbet.begins(table.tobytes()[:4096])
     assert not sbet.begins(table[::-1].tobytes())
@@ -94,7 +94,7 @@ def test_a_file_is_known_by_records_of_a_vehicle_that_moves_on():
         assert not sbet.begins(damaged.tobytes()), column
 
 
-def test_damaged_records_are_left_out_and_a_cut_one_told(tmp_path: Path):
+def test_damaged_records_are_left_out_and_a_cut_one_is_reported(tmp_path: Path):
     table = records(OF_WEEK_S + np.arange(1000) / 100)
     table[10, 1], table[20, 0], table[30, 0], table[40, 7] = np.nan, 5.0, 1e300, 9.0
     path = write(tmp_path / "a.sbet", table)

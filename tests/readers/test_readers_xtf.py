@@ -1,4 +1,4 @@
-"""XTF: ranges and angles come to lie where the seabed was, and what is not read or is damaged is told."""
+"""XTF: ranges and angles become soundings on the seabed; unread and damaged packets are reported."""
 
 import random
 import struct
@@ -169,7 +169,7 @@ def test_what_the_sonar_did_not_find_is_impossible_and_what_failed_its_tests_is_
         assert list(part.soundings["quality"]) == [expected]
 
 
-def test_a_sound_speed_of_the_one_way_time_is_doubled_and_one_that_is_missing_told(tmp_path: Path):
+def test_a_sound_speed_of_the_one_way_time_is_doubled_and_one_that_is_missing_one_is_reported(tmp_path: Path):
     record = xtf_files.record_7027(BEGIN + 1, np.array([0.04]), np.array([0.0]))
     part = still(tmp_path / "a.xtf", xtf_files.ping(61, BEGIN + 1, record, speed=735.0))
     assert part.soundings["down_m"][0] == pytest.approx(0.02 * 1470)
@@ -253,7 +253,7 @@ def test_a_gyro_has_the_heading_where_the_attitude_has_none(tmp_path: Path):
     assert np.rad2deg(recorded(tmp_path / "a.xtf", content).pings["heading_rad"][0]) == pytest.approx(123)
 
 
-def test_a_second_gyro_is_told_and_does_not_turn_the_ship(tmp_path: Path):
+def test_a_second_gyro_is_reported_and_does_not_turn_the_ship(tmp_path: Path):
     motion = b"".join(xtf_files.attitude(BEGIN + t, 0, 0, 0, 0.0) + xtf_files.gyro(BEGIN + t, 123) for t in range(4))
     other = xtf_files.gyro(BEGIN + 0.9, 33, 23) + xtf_files.gyro(BEGIN + 1.1, 33, 23)
     places = xtf_files.position(BEGIN, EAST, 0) + xtf_files.position(BEGIN + 4, EAST, 0)
@@ -263,7 +263,7 @@ def test_a_second_gyro_is_told_and_does_not_turn_the_ship(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("kind", "other"), [(107, 42), (42, 107)])
-def test_a_second_antenna_is_told_and_does_not_move_the_ship(tmp_path: Path, kind: int, other: int):
+def test_a_second_antenna_is_reported_and_does_not_move_the_ship(tmp_path: Path, kind: int, other: int):
     motion = b"".join(xtf_files.attitude(BEGIN + t, 0, 0, 0, 360.0) for t in range(4))
     places = b"".join(xtf_files.position(BEGIN + t, EAST, 0.0, kind) for t in range(4))
     away = b"".join(xtf_files.position(BEGIN + t, EAST, 20 / DEGREE_M, other) for t in (0.8, 1.2))
@@ -272,7 +272,7 @@ def test_a_second_antenna_is_told_and_does_not_move_the_ship(tmp_path: Path, kin
     assert part.problems == [f"a.xtf: has positions in packets {kind} (4) and {other} (2); those of {kind} are taken"]
 
 
-def test_a_position_holds_for_five_seconds_beyond_the_last_and_that_is_told(tmp_path: Path):
+def test_a_position_holds_for_five_seconds_beyond_the_last_and_that_is_reported(tmp_path: Path):
     motion = b"".join(xtf_files.attitude(BEGIN + t, 0, 0, 0, 360.0) for t in range(40))
     places = b"".join(xtf_files.position(BEGIN + t, EAST + t * 1e-5, 0.0) for t in (2.0, 5.0))
     pings = b"".join(fan(BEGIN + t) for t in (0.5, 2.0, 3.0, 5.0, 9.5, 10.5, 30.0))
@@ -304,14 +304,14 @@ def test_a_fan_that_was_steered_forward_lies_forward(tmp_path: Path):
     assert "is steered by" in odd.problems[0]
 
 
-def test_a_tilt_of_the_receiver_s_mount_is_told(tmp_path: Path):
+def test_a_tilt_of_the_receiver_s_mount_is_reported(tmp_path: Path):
     pings = (fan(mount=np.deg2rad(30)), fan(BEGIN + 2, mount=np.deg2rad(-20)), fan(BEGIN + 3))
     part = still(tmp_path / "a.xtf", *pings)
     sentence = "has 2 pings whose sonar says that its receiver is mounted with a tilt of up to 30.0 degrees"
     assert part.problems == [f"a.xtf: {sentence}; only the offsets of the file's header are applied"]
 
 
-def test_angles_of_the_motion_sensor_and_the_compass_are_told(tmp_path: Path):
+def test_angles_of_the_motion_sensor_and_the_compass_are_reported(tmp_path: Path):
     part = still(tmp_path / "a.xtf", fan(), motion={"roll": 1.5, "pitch": -2.0, "yaw": 0.5}, navigation={"yaw": 90.0})
     assert part.problems == [
         "a.xtf: says that its motion sensor is turned by roll 1.5, pitch -2, yaw 0.5 degrees; this is not applied,"
@@ -321,7 +321,7 @@ def test_angles_of_the_motion_sensor_and_the_compass_are_told(tmp_path: Path):
     ]
 
 
-def test_a_head_that_the_header_lacks_is_told_once(tmp_path: Path):
+def test_a_head_that_the_header_lacks_is_reported_once(tmp_path: Path):
     content = xtf_files.bth0(BEGIN + 1, np.array([60 / SPEED]), np.array([0.0]))
     pings = [xtf_files.ping(65, BEGIN + 1, content, channel) for channel in (0, 1, 2)]
     part = still(tmp_path / "a.xtf", *pings, sonars=(FLAT | {"starboard": 5.0},))
@@ -355,7 +355,7 @@ def test_an_unknown_packet_is_passed_over_by_its_length(tmp_path: Path):
     assert part.problems == []
 
 
-def test_a_file_that_was_cut_off_gives_what_stands_before(tmp_path: Path):
+def test_a_file_that_was_cut_off_gives_what_is_before(tmp_path: Path):
     content = xtf_files.survey(Ship())
     last = content.rindex(b"BTH0") - 256
     part = recorded(tmp_path / "a.xtf", content[: last + 300])
@@ -401,7 +401,7 @@ def test_what_is_no_xtf_file_is_refused_in_a_sentence(tmp_path: Path):
         list(xtf.read(tmp_path / "none.xtf"))
 
 
-def test_a_file_is_known_by_its_first_packet_and_not_by_a_brace():
+def test_a_file_is_recognised_by_its_first_packet_and_not_by_a_brace():
     assert xtf.begins(xtf_files.header() + fan())
     assert xtf.begins(xtf_files.header() + bytes(1024) + fan())
     assert not xtf.begins(b'{"a": 1}' + bytes(4000))

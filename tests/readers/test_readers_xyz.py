@@ -1,4 +1,4 @@
-"""Texts of points: columns by their names or their places, any separator, and damage that costs only its line."""
+"""Texts of points: columns by name or by place, with any separator; damage costs only its line."""
 
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def test_which_way_z_counts_is_by_its_name_else_by_its_sign_and_is_said(tmp_path
         assert cause in part.vertical
 
 
-def test_longitude_and_latitude_are_known_by_their_names(tmp_path: Path):
+def test_longitude_and_latitude_are_recognised_by_their_names(tmp_path: Path):
     part = read(tmp_path, "Latitude (deg),Longitude (deg),Depth (m)\n60.5,10.25,30\n95,10,30\n60,350.5,31\n")
     assert part.crs == projection.GEOGRAPHIC
     assert places(part) == [[10.25, 60.5, -30.0], [-9.5, 60.0, -31.0]]

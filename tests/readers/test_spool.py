@@ -1,4 +1,4 @@
-"""Many files are one survey, whoever reads them; their soundings wait on disk, and none is lost on the way."""
+"""Many files make one survey, with any number of workers; their soundings are kept on disk, and none is lost."""
 
 import os
 from pathlib import Path
@@ -25,7 +25,7 @@ def lines(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_survey_is_the_same_whoever_reads_its_files(lines: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_survey_is_the_same_with_any_number_of_workers(lines: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(readers, "_SMALL_BYTES", 0)
     surveys = []
     for workers in ("1", "2", "3"):
@@ -61,7 +61,7 @@ def test_pings_of_two_files_at_once_are_put_in_turns(tmp_path: Path):
     pd.testing.assert_frame_equal(survey.soundings, read(tmp_path / "both.parquet").soundings)
 
 
-def test_of_all_damage_of_a_survey_twenty_places_are_told_and_the_others_counted(tmp_path: Path, monkeypatch):
+def test_a_report_names_twenty_places_of_damage_and_counts_the_others(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(kongsberg_all, "PART", 50)
     for file in ("a.all", "b.all"):
         content = bytearray(all_files.survey(120, begin=all_files.BEGIN + 120 * (file == "b.all")))
@@ -74,7 +74,7 @@ def test_of_all_damage_of_a_survey_twenty_places_are_told_and_the_others_counted
     assert report["problems"][-1] == "and 120 more"
 
 
-def test_what_is_wrong_with_a_whole_file_is_told_before_the_damage_that_fills_the_report():
+def test_what_is_wrong_with_a_whole_file_is_reported_before_the_damage_that_fills_the_report():
     problems = recording.Problems("a.all")
     for place in range(30):
         problems.add(f"byte {place} is damaged")
@@ -97,7 +97,7 @@ def test_nothing_is_left_beside_a_survey_that_was_read_or_refused(lines: Path, t
     assert os.listdir(scratch) == []
 
 
-def test_a_fault_of_a_reader_is_told_with_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_fault_of_a_reader_is_reported_with_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(formats.FORMATS["GSF"], "read", lambda path: [][0])
     (tmp_path / "line.gsf").write_bytes(b"any")
     with pytest.raises(spool.UnforeseenError, match=r"line\.gsf: the reader of GSF fails on it \(IndexError"):

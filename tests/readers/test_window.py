@@ -18,7 +18,7 @@ def content(tmp_path: Path) -> tuple[Path, bytes]:
     return tmp_path / "file", content
 
 
-def test_any_stretch_of_a_file_is_what_stands_there(content: tuple[Path, bytes]):
+def test_any_stretch_of_a_file_has_the_bytes_of_the_file(content: tuple[Path, bytes]):
     path, expected = content
     rng = np.random.default_rng(1)
     with Window(path, stretch=64) as window:
@@ -46,7 +46,7 @@ def test_a_candidate_is_found_once_wherever_the_stretches_are_cut(tmp_path: Path
             assert list(candidates(window, mark, 0, begin)) == []
 
 
-def test_a_file_that_gets_shorter_is_told(tmp_path: Path):
+def test_a_file_that_gets_shorter_is_reported(tmp_path: Path):
     (tmp_path / "file").write_bytes(bytes(5000))
     with Window(tmp_path / "file", stretch=64) as window:
         (tmp_path / "file").write_bytes(bytes(100))
