@@ -108,7 +108,7 @@ def test_pages_are_small_and_the_same_bytes_twice(two: list[cases.Survey]):
 
 
 def test_a_relief_has_no_holes_and_its_forms_are_where_they_are():
-    found = relief.of(cloud(0.3))
+    found = relief.from_points(cloud(0.3))
     assert (found.rgba[3:-3, 3:-3, 3] == 255).all()
     assert found.extent[0] == pytest.approx(-50, abs=2)
     assert found.extent[3] == pytest.approx(21, abs=2)
@@ -118,12 +118,12 @@ def test_a_relief_has_no_holes_and_its_forms_are_where_they_are():
 def test_a_slope_that_faces_the_light_is_brighter_and_level_ground_between():
     starboard = -GRID[:, 1]
     bright, level, dark = (
-        relief.of(np.column_stack([GRID, tilt * starboard])).rgba[10:-10, 20:-20, :3].mean()
+        relief.from_points(np.column_stack([GRID, tilt * starboard])).rgba[10:-10, 20:-20, :3].mean()
         for tilt in (0.05, 0, -0.05)
     )
     assert bright > level > dark
 
 
 def test_flat_ground_looks_flat():
-    flat, rugged = (relief.of(cloud(slope)).rgba[3:-3, 3:-3, 0].astype(float).std() for slope in (0.001, 0.3))
+    flat, rugged = (relief.from_points(cloud(slope)).rgba[3:-3, 3:-3, 0].astype(float).std() for slope in (0.001, 0.3))
     assert flat < 0.1 * rugged

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pandas as pd
 
+from pointnetkl.registration.covariance.catalogue import Family
 from pointnetkl.reporting.covariances import method_plots, pareto_plots
 from pointnetkl.reporting.drawing import families, plots
 
@@ -107,11 +108,10 @@ def test_without_held_out_errors_a_figure_says_so():
     assert plots.png(figure)
 
 
-def test_every_method_of_the_specification_has_a_family():
-    assert {families.of(method).name for method in METHODS} == {family.name for family in families.FAMILIES}
-    assert families.of("constant_train") is families.LEARNED
-    assert families.of("constant").name == "the paper's rivals"
-    assert families.of("mccormick").name == "others"
+def test_every_family_has_a_colour_and_a_marker_of_its_own():
+    assert list(families.STYLES) == list(Family)
+    assert len({(each.colour, each.marker) for each in families.STYLES.values()}) == len(Family)
+    assert families.style("constant_train") == families.STYLES[Family.LEARNED] != families.style("constant")
 
 
 def test_no_name_covers_another_or_a_point_of_the_pareto_figure():

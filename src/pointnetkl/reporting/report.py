@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import headline, page, results, terrain, text_table, words
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closures
@@ -152,7 +153,7 @@ def _numbers(folders: Folders, read: _Artifacts, settings: Settings) -> dict[str
     kl = {name: covariances.divergences(name, each, settings) for name, each in judged.items()}
     return {
         "datasets": datasets,
-        "kl": {**read.training.get("pointnetkl", {}), **kl},
+        "kl": {**read.training.get(catalogue.POINTNETKL, {}), **kl},
         "calibration": {name: covariances.calibrations(each) for name, each in judged.items()},
         "calibration_lc": closures.calibrations(read.closures),
         "closures": {name: closures.sizes(each) for name, each in read.closures.items()},

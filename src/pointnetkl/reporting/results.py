@@ -1,4 +1,4 @@
-"""What the report is made from: every stage's artifacts, read by survey and brought together."""
+"""What the report is made from: every stage's artifacts, read and brought together by survey."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl import simulation
-from pointnetkl.registration.covariance import table
+from pointnetkl.registration.covariance import catalogue, table
 from pointnetkl.registration.covariance.label_table import LABELS, VARIATIONS
 from pointnetkl.reporting import terrain
 from pointnetkl.slam.benchmark.tables import ROWS, TRAJECTORIES
@@ -19,8 +19,8 @@ from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.study import Study
 
-GOLD = "monte_carlo"  # the labels themselves, as a method: their KL to themselves says nothing
-OURS = "network"  # whom the others are compared with, pair by pair
+GOLD = catalogue.MONTE_CARLO  # the labels themselves, as a method: their KL to themselves says nothing
+OURS = catalogue.NETWORK  # the method with which the others are compared, pair by pair
 
 _SURVEY = ("pings.parquet", "soundings.parquet", "truth.parquet")
 _CUT = ("submaps.parquet", "poses.parquet", "clouds.npz", "labels.parquet", "errors.npz")
@@ -101,8 +101,8 @@ class Labels:
     submap: np.ndarray  # (k,)
     q: np.ndarray  # (k, M, M) in m and rad
     spacing_m: np.ndarray  # (k,) median distance of a point to its nearest
-    self_matching: np.ndarray  # (k,) whether the points lie too far apart for the copy to be a fair one
-    rows: pd.DataFrame  # schema label_table.LABELS: all of the above and how the registrations went
+    self_matching: np.ndarray  # (k,) whether points lie so far apart that a copy registers to itself
+    rows: pd.DataFrame  # schema label_table.LABELS: the same, and how the registrations converged
     parameters: dict[str, Any]
 
     @property
@@ -130,8 +130,8 @@ def read_labels(folders: Folders, name: str) -> Labels:
     """Read a survey's labels."""
     path = folders.product(name, "labels.parquet")
     rows = artifacts.read_table(path, LABELS, also=table.YAW)
-    number, spacing, matching = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
-    return Labels(number, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
+    submaps, spacing, matching = (rows[column].to_numpy() for column in ("submap", "spacing_m", "self_matching"))
+    return Labels(submaps, table.to_matrices(rows), spacing, matching, rows, artifacts.table_metadata(path))
 
 
 def read_test(folders: Folders, name: str, labels: Labels) -> Test:
@@ -174,8 +174,8 @@ def read_canonical(folders: Folders, name: str) -> voxel.Clouds:
 def read_variations(folders: Folders) -> pd.DataFrame:
     """Read the test surveys' labels under varied conditions, one table of schema label_table.VARIATIONS."""
     paths = (folders.product(name, "variations.parquet") for name in folders.study.test)
-    every = [artifacts.read_table(path, VARIATIONS, also=table.YAW) for path in paths]
-    return pd.concat([VARIATIONS.empty_table().to_pandas(), *every], ignore_index=True)
+    tables = [artifacts.read_table(path, VARIATIONS, also=table.YAW) for path in paths]
+    return pd.concat([VARIATIONS.empty_table().to_pandas(), *tables], ignore_index=True)
 
 
 def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataFrame]:
@@ -222,8 +222,8 @@ def read_soundings(folders: Folders, name: str, first: int, last: int) -> np.nda
     return artifacts.read_table(path, survey.SOUNDINGS, only)[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
 
 
-def _same_submaps(path: Path, found: np.ndarray, labels: Labels, what: str) -> None:
-    if not np.array_equal(found, labels.submap):
+def _same_submaps(path: Path, submaps: np.ndarray, labels: Labels, subject: str) -> None:
+    if not np.array_equal(submaps, labels.submap):
         raise ResultsError(
-            f"{path}: {what} has {len(found)} submaps, not those of the {len(labels.submap)} labels; run dvc repro"
+            f"{path}: {subject} has {len(submaps)} submaps, not those of the {len(labels.submap)} labels; run dvc repro"
         )

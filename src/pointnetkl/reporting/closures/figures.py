@@ -142,7 +142,7 @@ def _against_sigma(axes: Axes, closures: Closures, kind: str) -> None:
 
 def _dumbbells(axes: Axes, rows: pd.DataFrame, heights: np.ndarray, column: str, limits: tuple[float, float]) -> None:
     values = {kind: rows[f"{kind}{column}"].astype(float).clip(*limits).to_numpy() for kind in _MARKERS}
-    colours = [families.of(method).colour for method in rows["method"]]
+    colours = [families.style(method).colour for method in rows["method"]]
     axes.hlines(heights, values["held_out_"], values[""], colors=colours, linewidth=1.2, alpha=0.6)
     for kind, (marker, face) in _MARKERS.items():
         for value, height, colour in zip(values[kind], heights, colours, strict=True):

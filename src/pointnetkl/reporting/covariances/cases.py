@@ -14,7 +14,7 @@ from pointnetkl.reporting.results import Labels, Test
 
 @dataclass(frozen=True)
 class Survey:
-    """A test survey's submaps: their points (n_i, 3) in metres, labels, and what every method said of them."""
+    """A test survey's submaps: points (n_i, 3) in metres, labels, and every method's covariances."""
 
     name: str
     clouds: Sequence[np.ndarray]
@@ -25,16 +25,16 @@ class Survey:
     @cached_property
     def kl(self) -> dict[str, np.ndarray]:
         """The divergence of each submap's label from each method's Q, (k,) nats by method."""
-        found = self.test.covariances.items()
-        return {method: gaussian.divergence(self.labels.q, q, self.floor_m2) for method, q in found}
+        covariances = self.test.covariances.items()
+        return {method: gaussian.divergence(self.labels.q, q, self.floor_m2) for method, q in covariances}
 
     def case(self, index: int, methods: Iterable[str]) -> Case:
-        """Return what to draw of the submap at a place in the survey's order, with the methods that are there."""
+        """Return what to draw of the submap at a place in the survey's order, of the methods that it has."""
         present = [method for method in methods if method in self.test.covariances]
         return Case(
             survey=self.name,
             submap=int(self.labels.submap[index]),
-            seabed=relief.of(self.clouds[index]),
+            seabed=relief.from_points(self.clouds[index]),
             label=self.labels.q[index],
             covariances={method: self.test.covariances[method][index] for method in present},
             kl={method: float(self.kl[method][index]) for method in present},
@@ -44,11 +44,11 @@ class Survey:
 def large_to_small(survey: Survey, methods: Sequence[str], count: int) -> list[Case]:
     """Return at most `count` submaps, evenly spaced by the trace of their labels in x, y, the largest label first."""
     order = np.argsort(-np.trace(survey.labels.q[:, :2, :2], axis1=1, axis2=2), kind="stable")
-    chosen = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
-    return [survey.case(int(order[i]), methods) for i in chosen]
+    ranks = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
+    return [survey.case(int(order[rank]), methods) for rank in ranks]
 
 
 def worst(surveys: Sequence[Survey], method: str, count: int) -> list[Case]:
     """Return at most `count` submaps of all the surveys, the largest divergence from the method's Q first."""
-    every = [(-kl, i, j) for i, each in enumerate(surveys) for j, kl in enumerate(each.kl.get(method, ()))]
-    return [surveys[i].case(j, [method]) for _, i, j in sorted(every)[:count]]
+    submaps = [(-kl, i, j) for i, survey in enumerate(surveys) for j, kl in enumerate(survey.kl.get(method, ()))]
+    return [surveys[i].case(j, [method]) for _, i, j in sorted(submaps)[:count]]

@@ -97,7 +97,7 @@ def _standing(page: Axes, case: Case, box: _Box) -> None:
     _text(page, left, top + 2.95, f"label: σ {sigmas(case.label)}", families.GOLD.colour)
     for i, (method, q) in enumerate(case.covariances.items(), 1):
         said = f"{method}: {_nats(case.kl[method])} nats{', beyond' if _reach(q) > widest else ''}"
-        _text(page, left, top + 2.95 + _LINE_IN * i, said, families.of(method).colour)
+        _text(page, left, top + 2.95 + _LINE_IN * i, said, families.style(method).colour)
 
 
 def _ellipses(page: Axes, case: Case, box: _Box, reach: float) -> None:
@@ -107,15 +107,15 @@ def _ellipses(page: Axes, case: Case, box: _Box, reach: float) -> None:
     metre = (min(box.width, box.height - _BAR_IN) / 2 - 0.06) / reach  # in inches
     middle = np.array([box.left + box.width / 2, box.top + (box.height - _BAR_IN) / 2 + 0.03])
     outlines = [("", families.GOLD, case.label)]
-    outlines += [(method, families.of(method), q) for method, q in case.covariances.items()]
-    for method, family, q in outlines:
+    outlines += [(method, families.style(method), q) for method, q in case.covariances.items()]
+    for method, style, q in outlines:
         corners = middle + metre * boundary(q).T * [1, -1]
         if not method:
-            page.add_artist(Polygon(corners, color=family.colour, alpha=0.35, linewidth=0)).set_clip_path(frame)
+            page.add_artist(Polygon(corners, color=style.colour, alpha=0.35, linewidth=0)).set_clip_path(frame)
         # add_artist, because add_patch and fill look for the limits of every curve: half of a page's time
-        page.add_artist(Polygon(corners, fill=False, edgecolor=family.colour, linewidth=1.4)).set_clip_path(frame)
+        page.add_artist(Polygon(corners, fill=False, edgecolor=style.colour, linewidth=1.4)).set_clip_path(frame)
         if metre * _reach(q) < _DOT_IN:
-            page.plot(*middle, "o", color=family.colour, markersize=4)
+            page.plot(*middle, "o", color=style.colour, markersize=4)
     _scale(page, box.left + 0.06, box.top + box.height - 0.1, metre, 0.4)
 
 
@@ -142,7 +142,7 @@ def _scale(page: Axes, left: float, top: float, metre: float, longest: float, mo
 def _key(page: Axes, methods: Sequence[str], top: float) -> None:
     """Write at the right which colour is whose."""
     names = [("95 % ellipse of the label", families.GOLD.colour)]
-    names += [(f"of {name}", families.of(name).colour) for name in methods]
+    names += [(f"of {name}", families.style(name).colour) for name in methods]
     left = plots.WIDTH_IN - sum(0.55 + 0.065 * len(name) for name, _ in names)
     for name, colour in names:
         page.plot([left, left + 0.3], [top, top], color=colour, linewidth=2.5)

@@ -1,4 +1,4 @@
-"""The figures of covariances: what of the results each one shows."""
+"""The figures of covariances, and which of the results each one shows."""
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import Any
@@ -6,15 +6,20 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import results
 from pointnetkl.reporting.covariances import cases, ellipse_plots, method_plots, pareto_plots, reliability_plots
 
-# What is shown of ellipses beside the label's: the first of each that is there
-_COMPARED = (("network", "pointnetkl"), ("structure_tensor",), ("censi_calibrated", "naive_gicp"))
+# Ellipses beside the label's: of each group the first method that has covariances
+_COMPARED = (
+    (catalogue.NETWORK, catalogue.POINTNETKL),
+    (catalogue.STRUCTURE_TENSOR,),
+    (catalogue.CENSI_CALIBRATED, catalogue.NAIVE_GICP),
+)
 _SUBMAPS_ACROSS, _WORST = 4, 10
 _RELIABLE = (
-    *("monte_carlo", "network", "pointnetkl", "structure_tensor", "cello"),
-    *("censi_calibrated", "unscented", "constant", "naive_gicp"),
+    *(results.GOLD, catalogue.NETWORK, catalogue.POINTNETKL, catalogue.STRUCTURE_TENSOR, catalogue.CELLO),
+    *(catalogue.CENSI_CALIBRATED, catalogue.UNSCENTED, catalogue.CONSTANT, catalogue.NAIVE_GICP),
 )
 
 
@@ -33,8 +38,8 @@ def every(
 
 def submaps(surveys: Sequence[cases.Survey]) -> Figure:
     """Draw some submaps of each test survey, the largest label first, with its ellipse and those of a few methods."""
-    there = set().union(*(survey.test.covariances for survey in surveys))
-    methods = _first_there(_COMPARED, there)
+    present = set().union(*(survey.test.covariances for survey in surveys))
+    methods = _first_present(_COMPARED, present)
     return ellipse_plots.gallery(
         {survey.name: cases.large_to_small(survey, methods, _SUBMAPS_ACROSS) for survey in surveys}
     )
@@ -60,5 +65,6 @@ def reliability(surveys: Sequence[cases.Survey]) -> Figure:
     return reliability_plots.reliability(pd.concat([reliability_plots.EMPTY, *tables]))
 
 
-def _first_there(choices: Sequence[Sequence[str]], there: Container[str]) -> list[str]:
-    return [next(name for name in names if name in there) for names in choices if any(name in there for name in names)]
+def _first_present(groups: Sequence[Sequence[str]], present: Container[str]) -> list[str]:
+    firsts = (next((method for method in group if method in present), None) for group in groups)
+    return [method for method in firsts if method]

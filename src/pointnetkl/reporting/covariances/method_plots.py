@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import paper, text_table
 from pointnetkl.reporting.drawing import families, plots, sheet
 
@@ -92,7 +93,7 @@ def slam_error(slam: pd.DataFrame) -> Figure:
     for panel in _panels(judged, order, grid[0]):
         _whiskers(panel)
         _points(panel, "rmse_xyz_m")
-        colours = [families.of(method).colour for method in panel.rows["method"]]
+        colours = [families.style(method).colour for method in panel.rows["method"]]
         truth = panel.rows["truth_rmse_xyz_m"].astype(float)
         panel.axes.scatter(truth, panel.heights + 0.2, facecolors="none", edgecolors=colours, s=16)
         references = slam[(slam["survey"] == panel.survey) & slam["method"].isin(_REFERENCES)]
@@ -138,7 +139,7 @@ def slam_both_ways(both: pd.DataFrame) -> Figure:
     order = _order(both, both["table_m"])
     figure, grid = _grid(both, order, 1)
     for panel in _panels(both, order, grid[0]):
-        colours = [families.of(method).colour for method in panel.rows["method"]]
+        colours = [families.style(method).colour for method in panel.rows["method"]]
         panel.axes.hlines(panel.heights, panel.rows["table_m"], panel.rows["authors_m"], colors=colours, linewidth=1)
         _points(panel, "table_m")
         panel.axes.scatter(
@@ -168,7 +169,7 @@ def _differences(panel: _Panel) -> None:
 def _order(table: pd.DataFrame, badness: pd.Series) -> list[str]:
     """Return the methods from best to worst by the mean rank of their badness over the surveys, gold first."""
     ranks = badness.groupby(table["survey"]).rank().groupby(table["method"]).mean()
-    return sorted(ranks.index, key=lambda method: (families.of(method) is not families.GOLD, ranks[method]))
+    return sorted(ranks.index, key=lambda method: (method != catalogue.MONTE_CARLO, ranks[method]))
 
 
 def _grid(table: pd.DataFrame, order: Sequence[str], down: int) -> tuple[Figure, np.ndarray]:
@@ -193,13 +194,13 @@ def _panels(table: pd.DataFrame, order: Sequence[str], line: Sequence[Axes]) -> 
 def _points(panel: _Panel, column: str, factor: float = 1.0) -> None:
     values = factor * panel.rows[column].astype(float)
     for method, value, height in zip(panel.rows["method"], values, panel.heights, strict=True):
-        family = families.of(method)
-        panel.axes.plot(value, height, family.marker, color=family.colour, markersize=6, zorder=3)
+        style = families.style(method)
+        panel.axes.plot(value, height, style.marker, color=style.colour, markersize=6, zorder=3)
 
 
 def _whiskers(panel: _Panel) -> None:
     low, high = panel.rows["ci_low"].astype(float), panel.rows["ci_high"].astype(float)
-    colours = [families.of(method).colour for method in panel.rows["method"]]
+    colours = [families.style(method).colour for method in panel.rows["method"]]
     panel.axes.hlines(panel.heights, low, high, colors=colours, linewidth=1.5)
 
 
@@ -225,7 +226,7 @@ def _short(value: float) -> str:
 
 
 def _gold_line(panel: _Panel) -> None:
-    gold = panel.rows[panel.rows["method"].isin(families.GOLD.members)]
+    gold = panel.rows[panel.rows["method"] == catalogue.MONTE_CARLO]
     for value in gold["coverage_95"].astype(float):
         panel.axes.axvline(100 * value, color=families.GOLD.colour, linestyle="--", linewidth=1)
 

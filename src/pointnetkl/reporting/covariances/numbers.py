@@ -1,4 +1,4 @@
-"""How far methods' covariances are from the labels, and how well they describe errors: whole, by class, size, copy."""
+"""How far methods' covariances are from the labels, and how well they describe errors: in all, by class, size, copy."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.covariance import gaussian, label_table, table
 from pointnetkl.reporting import intervals, terrain
-from pointnetkl.reporting.labels import numbers as label_study
 from pointnetkl.reporting.results import GOLD, OURS, Labels, Settings, Test
 
 # m^2, of a label's larger eigenvalue: a position known to 0.1 m, to 1 m, or worse
@@ -18,17 +17,16 @@ _SIZES = {"below 0.01": (0.0, 0.01), "0.01 to 1": (0.01, 1.0), "above 1": (1.0, 
 
 @dataclass(frozen=True)
 class Judged:
-    """Estimates of some submaps, and what they are judged by."""
+    """Estimates of some submaps, with the labels and errors that judge them."""
 
     labels: np.ndarray  # (k, M, M)
     covariances: Mapping[str, np.ndarray]  # by method, each (k, M, M)
     held_out: np.ndarray  # (k, H, M) errors that no label has seen
 
-    def of(self, which: np.ndarray) -> "Judged":
+    def take(self, submaps: np.ndarray) -> "Judged":
         """Return the same for some of the submaps, by a mask or indices."""
-        return Judged(
-            self.labels[which], {name: q[which] for name, q in self.covariances.items()}, self.held_out[which]
-        )
+        covariances = {method: q[submaps] for method, q in self.covariances.items()}
+        return Judged(self.labels[submaps], covariances, self.held_out[submaps])
 
 
 def judged(labels: Labels, test: Test) -> Judged:
@@ -36,53 +34,57 @@ def judged(labels: Labels, test: Test) -> Judged:
     return Judged(labels.q, test.covariances, test.held_out)
 
 
-def divergences(name: str, of: Judged, settings: Settings) -> dict[str, Any]:
-    """Return how far each method's covariances are from the labels, nats; intervals over submaps.
+def divergences(name: str, estimates: Judged, settings: Settings) -> dict[str, Any]:
+    """Return how far each method's covariances are from the labels, nats; intervals are over submaps.
 
-    `network_better`: the share of the bootstrap's draws in which `network` has the lower mean; every method sees the
-    same draws.
+    `network_better` is the share of the bootstrap's draws in which `network` has the lower mean. Every method sees
+    the same draws, which depend on `name`.
     """
-    floor = settings.kl_floor_m2
-    draws = intervals.resamples(len(of.labels), intervals.rng(settings.seed, name), settings.block_submaps)
-    found = {method: intervals.kl_summary(of.labels, q, floor, draws) for method, q in _rivals(of).items()}
-    if OURS in found and len(of.labels) >= intervals.FEWEST:
-        each = {method: gaussian.divergence(of.labels, of.covariances[method], floor) for method in found}
-        for method in found.keys() - {OURS}:
-            found[method]["network_better"] = intervals.share_better(each[OURS], each[method], draws)
-    return found
+    floor, labels = settings.kl_floor_m2, estimates.labels
+    draws = intervals.resamples(len(labels), intervals.rng(settings.seed, name), settings.block_submaps)
+    rivals = _without_gold(estimates)
+    summaries = {method: intervals.kl_summary(labels, q, floor, draws) for method, q in rivals.items()}
+    if OURS in summaries and len(labels) >= intervals.FEWEST:
+        kl = {method: gaussian.divergence(labels, q, floor) for method, q in rivals.items()}
+        for method in summaries.keys() - {OURS}:
+            summaries[method]["network_better"] = intervals.share_better(kl[OURS], kl[method], draws)
+    return summaries
 
 
-def calibrations(of: Judged) -> dict[str, Any]:
+def calibrations(estimates: Judged) -> dict[str, Any]:
     """Return how well each method's covariances describe the errors that no label has seen, if there are any."""
-    if of.held_out.size == 0:
+    if estimates.held_out.size == 0:
         return {}
-    every = {GOLD: of.labels, **of.covariances}
-    return {method: gaussian.calibration(of.held_out, q) for method, q in every.items()}
+    with_gold = {GOLD: estimates.labels, **estimates.covariances}
+    return {method: gaussian.calibration(estimates.held_out, q) for method, q in with_gold.items()}
 
 
 def by_class(
-    name: str, of: Judged, classes: np.ndarray, trained: Collection[str], settings: Settings
+    name: str, estimates: Judged, classes: np.ndarray, trained: Collection[str], settings: Settings
 ) -> dict[str, Any]:
-    """Return both for the submaps of each terrain class (k,), and whether a training submap is of that class."""
-    present = [each for each in terrain.CLASSES if np.any(classes == each)]
-    parts = {each: of.of(classes == each) for each in present}
+    """Return divergences and calibrations by terrain class, and whether a training submap is of that class.
+
+    `classes` (k,) are those of the submaps, `trained` those of the training submaps.
+    """
+    present = [terrain_class for terrain_class in terrain.CLASSES if np.any(classes == terrain_class)]
+    parts = {terrain_class: estimates.take(classes == terrain_class) for terrain_class in present}
     return {
-        each: {
+        terrain_class: {
             "submaps": len(part.labels),
-            "in_training": each in trained,
-            "kl": divergences(f"{name}.{each}", part, settings),
+            "in_training": terrain_class in trained,
+            "kl": divergences(f"{name}.{terrain_class}", part, settings),
             "calibration": calibrations(part),
         }
-        for each, part in parts.items()
+        for terrain_class, part in parts.items()
     }
 
 
-def by_size(of: Judged, settings: Settings) -> dict[str, Any]:
+def by_size(estimates: Judged, settings: Settings) -> dict[str, Any]:
     """Return each method's mean KL, with the floor and without, by the larger eigenvalue of the label in x, y."""
-    larger = np.linalg.eigvalsh(of.labels[:, :2, :2])[:, -1]
-    parts = {size: of.of((larger >= low) & (larger < high)) for size, (low, high) in _SIZES.items()}
+    larger = np.linalg.eigvalsh(estimates.labels[:, :2, :2])[:, -1]
+    parts = {size: estimates.take((larger >= low) & (larger < high)) for size, (low, high) in _SIZES.items()}
     return {
-        size: {"submaps": len(part.labels), "kl": _means(part.labels, _rivals(part), settings.kl_floor_m2)}
+        size: {"submaps": len(part.labels), "kl": _means(part.labels, _without_gold(part), settings.kl_floor_m2)}
         for size, part in parts.items()
         if len(part.labels)
     }
@@ -91,24 +93,24 @@ def by_size(of: Judged, settings: Settings) -> dict[str, Any]:
 def by_copy(name: str, labels: Labels, test: Test, variations: pd.DataFrame, settings: Settings) -> dict[str, Any]:
     """Return each method's mean KL to labels of both copies, on the submaps that have both.
 
-    `variations` has the schema results.VARIATIONS; its labels under the survey's own spacing and noise count.
+    `variations` has the schema label_table.VARIATIONS. Of it the labels under the survey's own spacing and noise count.
     """
     varied = variations[variations["survey"] == name]
-    usual = varied[varied["study"] == label_study.RUNS]
-    rows = varied[varied["study"] == label_study.CONDITIONS]
+    usual = varied[varied["study"] == label_table.RUNS]
+    rows = varied[varied["study"] == label_table.CONDITIONS]
     for condition in ("noise_sigma_m", "cell_m"):
         rows = rows[rows[condition].isin(usual[condition])]
-    found = {}
-    for copy, of in rows.groupby("copy"):
-        which = np.searchsorted(labels.submap, of["submap"])
-        q = {method: each[which] for method, each in test.covariances.items()}
-        means = _means(table.to_matrices(of), q, settings.kl_floor_m2)
-        found[str(copy)] = {"submaps": len(of), "kl": means}
-    return found
+    copies = {}
+    for copy, labelled in rows.groupby("copy"):
+        submaps = np.searchsorted(labels.submap, labelled["submap"])
+        covariances = {method: q[submaps] for method, q in test.covariances.items()}
+        means = _means(table.to_matrices(labelled), covariances, settings.kl_floor_m2)
+        copies[str(copy)] = {"submaps": len(labelled), "kl": means}
+    return copies
 
 
-def _rivals(of: Judged) -> dict[str, np.ndarray]:
-    return {method: q for method, q in of.covariances.items() if method != GOLD}
+def _without_gold(estimates: Judged) -> dict[str, np.ndarray]:
+    return {method: q for method, q in estimates.covariances.items() if method != GOLD}
 
 
 def _means(labels: np.ndarray, covariances: Mapping[str, np.ndarray], floor: float) -> dict[str, dict[str, float]]:

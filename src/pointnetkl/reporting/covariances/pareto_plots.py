@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import families, plots
 
@@ -24,11 +25,11 @@ def accuracy_time(kl: pd.DataFrame, seconds: Mapping[str, float]) -> Figure:
     `kl` has a row per survey and method: mean, ci_low, ci_high. A method without a time is left out. The labels'
     own method has KL 0 by definition and stands on the lower border.
     """
-    timed = kl[kl["method"].isin(list(seconds)) & ~kl["method"].isin(families.GOLD.members)]
+    timed = kl[kl["method"].isin(list(seconds)) & (kl["method"] != catalogue.MONTE_CARLO)]
     surveys = list(dict.fromkeys(timed["survey"]))
     figure = Figure((plots.WIDTH_IN, 0.5 + 4.2 * max(1, len(surveys))), layout="constrained")
     grid = figure.subplots(max(1, len(surveys)), 1, squeeze=False, sharex=True).ravel()
-    gold = {name: max(seconds[name], _FASTEST_S) for name in families.GOLD.members if name in seconds}
+    gold = {name: max(seconds[name], _FASTEST_S) for name in (catalogue.MONTE_CARLO,) if name in seconds}
     rows = [timed[timed["survey"] == name] for name in surveys]
     named = [_panel(axes, each, seconds, gold) for axes, each in zip(grid, rows, strict=False)]
     grid[-1].set_xlabel(f"time per submap, one thread (s); leftmost: {1e6 * _FASTEST_S:g} µs or less")
@@ -49,9 +50,9 @@ def _panel(
     times = np.maximum(rows["method"].map(seconds).to_numpy(float), _FASTEST_S)
     means, low, high = (rows[name].to_numpy(float) for name in ("mean", "ci_low", "ci_high"))
     for method, time, mean, bottom, top in zip(rows["method"], times, means, low, high, strict=True):
-        family = families.of(method)
-        axes.plot([time, time], [bottom, top], color=family.colour, linewidth=1.2, alpha=0.6)
-        axes.plot(time, mean, family.marker, color=family.colour, markersize=6, zorder=3)
+        style = families.style(method)
+        axes.plot([time, time], [bottom, top], color=style.colour, linewidth=1.2, alpha=0.6)
+        axes.plot(time, mean, style.marker, color=style.colour, markersize=6, zorder=3)
     axes.set(xscale="log", yscale="log", ylabel="mean KL(label || Q), 95 % interval (nats)")
     axes.set_title(paper.title(str(rows["survey"].iloc[0])), fontsize=10)
     axes.margins(0.12)

@@ -7,14 +7,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.covariance import catalogue, gaussian
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import families, plots, sheet
 
 LEVELS = np.array([0.005, *np.arange(0.01, 1.0, 0.01), 0.995])
 EMPTY = pd.DataFrame({"survey": [], "method": [], "nominal": [], "observed": []})
 _TICKS = (0, 20, 40, 60, 80, 95)
-_STYLES = ("-", "--", ":", "-.")  # of a family's methods, which share a colour
+_DASHES = ("-", "--", ":", "-.")  # of a family's methods, which share a colour
 
 
 def coverage(
@@ -47,10 +47,10 @@ def reliability(table: pd.DataFrame) -> Figure:
     for axes, survey in zip(grid, surveys, strict=False):
         axes.plot([0, 100], [0, 100], color="black", linewidth=0.8)
         for method, rows in table[table["survey"] == survey].groupby("method", sort=False):
-            family, style = families.of(str(method)), _style(str(method), table)
+            family, dashes = families.style(str(method)), _dashes(str(method), table)
             wide = 2.4 if family is families.GOLD else 1.6
             percent = 100 * rows[["nominal", "observed"]].to_numpy(float)
-            axes.plot(*percent.T, style, color=family.colour, linewidth=wide, label=method)
+            axes.plot(*percent.T, dashes, color=family.colour, linewidth=wide, label=method)
         axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal", xticks=_TICKS, yticks=_TICKS)
         axes.set_title(paper.title(survey), fontsize=10)
         axes.grid(alpha=0.3)
@@ -68,6 +68,6 @@ def _inside(errors: np.ndarray, q: np.ndarray, bounds: np.ndarray) -> np.ndarray
     return np.searchsorted(ordered, bounds, side="right") / len(ordered)
 
 
-def _style(method: str, table: pd.DataFrame) -> str:
-    kin = [name for name in dict.fromkeys(table["method"]) if families.of(name) is families.of(method)]
-    return _STYLES[kin.index(method) % len(_STYLES)]
+def _dashes(method: str, table: pd.DataFrame) -> str:
+    kin = [name for name in dict.fromkeys(table["method"]) if catalogue.family(name) is catalogue.family(method)]
+    return _DASHES[kin.index(method) % len(_DASHES)]

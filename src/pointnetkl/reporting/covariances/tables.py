@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
 from typing import Any
 
-from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.covariance import catalogue, gaussian
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, heading, interval
@@ -192,4 +192,4 @@ def _wide(caption: str, rows: Sequence[Mapping[str, Any]], which: Sequence[str],
 
 
 def _paper_kl(row: Numbers) -> float | None:
-    return paper.KL.get(row["survey"]) if row["method"] == "pointnetkl" else None
+    return paper.KL.get(row["survey"]) if row["method"] == catalogue.POINTNETKL else None

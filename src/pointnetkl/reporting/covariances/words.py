@@ -4,13 +4,15 @@ from collections.abc import Mapping
 
 import pandas as pd
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.covariances.tables import UNSEEN
 from pointnetkl.reporting.page import Measured, Section
 from pointnetkl.reporting.text_table import Blocks, Numbers
 from pointnetkl.workflow import machine
 
-_WORST_OF = ("network", "pointnetkl", "structure_tensor")  # whose worst submaps the page shows, as far as there
+# Methods whose worst submaps the page shows, where it has them
+_WORST_OF = (catalogue.NETWORK, catalogue.POINTNETKL, catalogue.STRUCTURE_TENSOR)
 
 
 def divergence(shown: Blocks, copies: Mapping[str, str]) -> Section:

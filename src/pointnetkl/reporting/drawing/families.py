@@ -1,4 +1,4 @@
-"""The kinds of methods that give a covariance, and how charts tell them apart: by colour and by marker."""
+"""How charts tell families of methods apart: by colour and by marker."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,47 +6,43 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from pointnetkl.registration.covariance import catalogue
+from pointnetkl.registration.covariance.catalogue import Family
 from pointnetkl.reporting.drawing import plots
 
 
 @dataclass(frozen=True)
-class Family:
-    """Methods of one kind; `members` also counts names that go on after an underscore."""
+class Style:
+    """How the methods of a family are drawn."""
 
-    name: str
     colour: str
     marker: str
-    members: tuple[str, ...]
 
 
-GOLD = Family("gold standard", plots.GREEN, "*", ("monte_carlo",))
-LEARNED = Family("learned numbers", plots.ORANGE, "D", ("constant_train", "structure_tensor", "cello"))
-FAMILIES = (
-    GOLD,
-    Family("the paper's rivals", plots.GREY, "s", ("constant", "naive")),
-    Family("closed forms", plots.BLUE, "^", ("hessian", "censi", "unscented", "mean_field")),
-    Family("sampled", plots.SKY, "v", ("mc",)),
-    LEARNED,
-    Family("networks", plots.RED, "o", ("pointnetkl", "network")),
-)
-_OTHERS = Family("others", plots.PURPLE, "X", ())
+STYLES = {
+    Family.GOLD: Style(plots.GREEN, "*"),
+    Family.RIVALS: Style(plots.GREY, "s"),
+    Family.CLOSED_FORMS: Style(plots.BLUE, "^"),
+    Family.SAMPLED: Style(plots.SKY, "v"),
+    Family.LEARNED: Style(plots.ORANGE, "D"),
+    Family.NETWORKS: Style(plots.RED, "o"),
+    Family.OTHERS: Style(plots.PURPLE, "X"),
+}
+GOLD = STYLES[Family.GOLD]
 
 
-def of(method: str) -> Family:
-    """Return the family of a method; one that nobody sorted in is among the others."""
-    if method in LEARNED.members:  # constant_train, which is not the paper's constant
-        return LEARNED
-    kin = (f for f in FAMILIES if any(f"{method}_".startswith(f"{member}_") for member in f.members))
-    return next(kin, _OTHERS)
+def style(method: str) -> Style:
+    """Return how a method is drawn."""
+    return STYLES[catalogue.family(method)]
 
 
 def legend(figure: Figure, methods: Iterable[str]) -> None:
-    """Write above a figure which colour and marker is which of the methods' families."""
-    present = {of(method) for method in methods}
+    """Write above a figure the colours and markers of the methods' families."""
+    present = {catalogue.family(method) for method in methods}
     handles = [
-        Line2D([], [], color=each.colour, marker=each.marker, linestyle="", label=each.name)
-        for each in (*FAMILIES, _OTHERS)
-        if each in present
+        Line2D([], [], color=each.colour, marker=each.marker, linestyle="", label=str(family))
+        for family, each in STYLES.items()
+        if family in present
     ]
     if handles:
         figure.legend(

@@ -23,7 +23,7 @@ class Relief:
     depths_m: tuple[float, float]  # least and most, above the submap's origin if negative
 
 
-def of(points: np.ndarray) -> Relief:
+def from_points(points: np.ndarray) -> Relief:
     """Return the relief of points (n, 3) in a submap's frame, metres.
 
     Shade and the least span of colours are absolute, so that the images of several submaps can be compared.

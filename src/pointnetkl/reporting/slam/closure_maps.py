@@ -101,7 +101,7 @@ def _zooms(figure: Figure, closures: ClosureMap, top: float) -> None:
 
 def _zoom(axes: Axes, outlines: Mapping[str, np.ndarray], error: np.ndarray, yaw: float) -> None:
     for method, outline in outlines.items():
-        axes.add_artist(Polygon(outline, fill=False, edgecolor=families.of(method).colour, linewidth=1.3))
+        axes.add_artist(Polygon(outline, fill=False, edgecolor=families.style(method).colour, linewidth=1.3))
     axes.plot(0, 0, "+", color=plots.GREY, markersize=5)
     c, s = np.cos(yaw), np.sin(yaw)
     axes.plot(*(np.array([[c, -s], [s, c]]) @ error), "o", color="black", markersize=3.5)
@@ -129,7 +129,7 @@ def _key(figure: Figure, methods: Iterable[str]) -> None:
         ("outside", _OUTSIDE),
         ("Below, to scale: +: as registered;", "black"),
     ]
-    words += [("dot: the truth; ellipses of", "black"), *((name, families.of(name).colour) for name in methods)]
+    words += [("dot: the truth; ellipses of", "black"), *((name, families.style(name).colour) for name in methods)]
     left = 0.1
     for text, colour in words:
         sheet.write(figure, left, 0.07, text, colour=colour)
