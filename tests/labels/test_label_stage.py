@@ -74,8 +74,8 @@ def test_the_stage_killed_at_any_moment_resumes_to_the_same_bytes(undisturbed: P
         assert time.monotonic() - begun < 60 + 3 * KILLS * duration
         age(survey / "shards")
     shutil.rmtree(survey / "out", ignore_errors=True)  # of attempts that ended first
-    there = len(intact(survey))
-    assert run(survey) == f"toy: labelled {SUBMAPS - there}, {there} were there"
+    count = len(intact(survey))
+    assert run(survey) == f"toy: labelled {SUBMAPS - count}, {count} were there"
     assert outputs(survey) == outputs(undisturbed)
     assert {path.name for path in (survey / "shards").iterdir()} == intact(survey)
 
@@ -109,11 +109,11 @@ def test_submaps_that_stop_early_have_fewer_errors_and_then_nan(tmp_path: Path):
     run(tmp_path)
     runs = artifacts.table_metadata(tmp_path / "out/labels.parquet")["label"]["target_relative_error"]
     errors = artifacts.read_arrays(tmp_path / "out/errors.npz")[0]["errors"]
-    made = np.isfinite(errors).all(axis=2)
+    finite = np.isfinite(errors).all(axis=2)
     assert runs == 0.1
-    assert errors.shape[1] == made.sum(axis=1).max()
-    assert len(set(made.sum(axis=1))) > 1
-    assert all(not np.diff(row.astype(int)).max() > 0 for row in made)  # numbers first, then NaN to the end
+    assert errors.shape[1] == finite.sum(axis=1).max()
+    assert len(set(finite.sum(axis=1))) > 1
+    assert all(not np.diff(row.astype(int)).max() > 0 for row in finite)  # numbers first, then NaN to the end
     assert artifacts.read_arrays(tmp_path / "out/errors.npz")[0]["held_out"].shape == (8, 5, 2)
 
 
@@ -132,10 +132,10 @@ def test_what_a_lost_dask_worker_had_is_done_by_others(undisturbed: Path, survey
 
     with Client(dask.address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
-        others = set(client.run(os.getpid).values())
+        old = set(client.run(os.getpid).values())
         machine = dask.worker("dask worker ADDRESS --nworkers 1 --nthreads 1")
         client.wait_for_workers(3, timeout=60)
-        (victim,) = set(client.run(os.getpid).values()) - others
+        (victim,) = set(client.run(os.getpid).values()) - old
     process = start(survey, **cluster(dask))
     until(lambda: len(intact(survey)) > 3)
     if lost == "machine":  # with the nanny, which would start it again
@@ -183,10 +183,10 @@ def test_a_full_disk_ends_in_a_sentence_and_room_resumes(
 ):
     said = fail(survey, POINTNETKL_WORKERS=workers)
     assert re.search(r"cannot be written \(No space left on device\); the labels finished before are kept", said)
-    there = len(intact(survey))
-    assert 0 < there < SUBMAPS
+    count = len(intact(survey))
+    assert 0 < count < SUBMAPS
     subprocess.run(["mount", "-o", "remount,size=1m", str(small_disk)], check=True)
-    assert run(survey, POINTNETKL_WORKERS=workers) == f"toy: labelled {SUBMAPS - there}, {there} were there"
+    assert run(survey, POINTNETKL_WORKERS=workers) == f"toy: labelled {SUBMAPS - count}, {count} were there"
     assert outputs(survey) == outputs(undisturbed)
 
 

@@ -36,17 +36,17 @@ SETTINGS = sensitivity.Settings(
 
 
 def make(kind: str, number: int) -> Submap:
-    whole, first, second = (terrains.cloud(kind, 2500, p) for p in range(3))
+    points, first, second = (terrains.cloud(kind, 2500, p) for p in range(3))
     rng = np.random.default_rng(number)
-    return Submap("small", number, *(p[spacing.thin(p, CELL_M, rng)] for p in (whole, first, second)))
+    return Submap("small", number, *(p[spacing.thin(p, CELL_M, rng)] for p in (points, first, second)))
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of three submaps: rugged, flat, mild."""
     file = tmp_path_factory.mktemp("vary") / "small.parquet"
-    made = [make(kind, number) for number, kind in enumerate(KINDS)]
-    artifacts.write_table(file, submap.to_table(made), submap.POINTS, {})
+    submaps = [make(kind, number) for number, kind in enumerate(KINDS)]
+    artifacts.write_table(file, submap.to_table(submaps), submap.POINTS, {})
     return file
 
 
@@ -55,18 +55,18 @@ def case(number: int, study: str = label_table.CONDITIONS, **change: Any) -> sen
     return dataclasses.replace(usual, **change)
 
 
-def rows(path: Path, of: sensitivity.Case) -> pd.DataFrame:
-    found = sensitivity.rows(of, "small", path, CELL_M, SETTINGS, LABEL, REGISTRATION)
-    return pd.DataFrame(found, columns=label_table.VARIATIONS.names)
+def rows(path: Path, item: sensitivity.Case) -> pd.DataFrame:
+    labels = sensitivity.rows(item, "small", path, CELL_M, SETTINGS, LABEL, REGISTRATION)
+    return pd.DataFrame(labels, columns=label_table.VARIATIONS.names)
 
 
-def trace(path: Path, of: sensitivity.Case) -> float:
-    (row,) = rows(path, of).itertuples()
+def trace(path: Path, item: sensitivity.Case) -> float:
+    (row,) = rows(path, item).itertuples()
     return row.q_xx_m2 + row.q_yy_m2
 
 
 def test_submaps_are_chosen_from_flat_to_rugged(path: Path):
-    rugged = [sensitivity.ruggedness(one, REGISTRATION) for one in submap.stream("small", path)]
+    rugged = [sensitivity.ruggedness(cloud, REGISTRATION) for cloud in submap.stream("small", path)]
     assert [KINDS[place] for place in sensitivity.spread(rugged, 3)] == ["flat", "mild", "rugged"]
     assert [KINDS[place] for place in sensitivity.spread(rugged, 1)] == ["mild"]
     assert len(sensitivity.spread(rugged, 50)) == 3
@@ -79,19 +79,21 @@ def test_a_ridge_is_less_rugged_than_what_leans_both_ways():
 
 
 def test_every_condition_is_asked_for_once_for_both_copies():
-    found = sensitivity.cases([4, 7], SETTINGS, LABEL)
-    assert len(found) == len(set(found)) == 2 * (1 + 2 * 3)
-    assert [one.submap for one in found if one.study == label_table.RUNS] == [4, 7]
-    conditions = {(one.copy, one.noise_sigma_m, one.thinning) for one in found if one.study == label_table.CONDITIONS}
+    cases = sensitivity.cases([4, 7], SETTINGS, LABEL)
+    assert len(cases) == len(set(cases)) == 2 * (1 + 2 * 3)
+    assert [item.submap for item in cases if item.study == label_table.RUNS] == [4, 7]
+    conditions = {
+        (item.copy, item.noise_sigma_m, item.thinning) for item in cases if item.study == label_table.CONDITIONS
+    }
     assert conditions == {(c, *o) for c in ("same", "split") for o in ((0.2, 1.0), (0.2, 2.0), (0.0, 1.0))}
 
 
 def test_parts_share_no_run_and_the_last_row_is_the_whole(path: Path):
-    found = rows(path, case(1, label_table.RUNS))
-    assert found.groupby("runs")["repeat"].apply(list).to_dict() == {13: [0, 1, 2, 3], 30: [0, 1], 60: [0]}
-    halves, whole = found[found["runs"] == 30], found.iloc[-1]
+    labels = rows(path, case(1, label_table.RUNS))
+    assert labels.groupby("runs")["repeat"].apply(list).to_dict() == {13: [0, 1, 2, 3], 30: [0, 1], 60: [0]}
+    halves, complete = labels[labels["runs"] == 30], labels.iloc[-1]
     # second moments of parts add up to that of the whole
-    assert (29 * halves["q_xx_m2"]).sum() == pytest.approx(59 * whole["q_xx_m2"])
+    assert (29 * halves["q_xx_m2"]).sum() == pytest.approx(59 * complete["q_xx_m2"])
 
 
 def test_a_part_of_all_runs_is_the_label_of_so_many(path: Path):
@@ -101,11 +103,11 @@ def test_a_part_of_all_runs_is_the_label_of_so_many(path: Path):
 
 
 def test_an_unvaried_label_is_that_of_the_label_s_estimator(path: Path):
-    how = dataclasses.replace(LABEL, seed=SETTINGS.seed)
-    expected = monte_carlo.label(submap.read("small", path, 1), 60, how, REGISTRATION).row
-    (found,) = rows(path, case(1)).to_dict("records")
+    settings = dataclasses.replace(LABEL, seed=SETTINGS.seed)
+    expected = monte_carlo.label(submap.read("small", path, 1), 60, settings, REGISTRATION).row
+    (labels,) = rows(path, case(1)).to_dict("records")
     for name in ("q_xx_m2", "q_xy_m2", "relative_error", "mean_x_m", "main_basin_share", "spacing_m"):
-        assert found[name] == pytest.approx(expected[name])
+        assert labels[name] == pytest.approx(expected[name])
 
 
 def test_the_label_of_a_rugged_copy_grows_as_the_square_of_its_noise(path: Path):
@@ -126,11 +128,11 @@ def test_a_coarse_flat_copy_finds_itself_and_another_pass_does_not(path: Path):
 
 
 def test_thinning_keeps_one_point_of_each_coarser_cell_in_every_part():
-    one = make("mild", 0)
-    coarse = sensitivity.thinned(one, 2.0, CELL_M, 1)
-    for part, whole in ((coarse.points, one.points), (coarse.first, one.first), (coarse.second, one.second)):
-        assert len(part) == len(np.unique(spacing.cells(whole, 2 * CELL_M)))
-    assert sensitivity.thinned(one, 1.0, CELL_M, 1) is one
+    cloud = make("mild", 0)
+    coarse = sensitivity.thinned(cloud, 2.0, CELL_M, 1)
+    for part, dense in ((coarse.points, cloud.points), (coarse.first, cloud.first), (coarse.second, cloud.second)):
+        assert len(part) == len(np.unique(spacing.cells(dense, 2 * CELL_M)))
+    assert sensitivity.thinned(cloud, 1.0, CELL_M, 1) is cloud
 
 
 @pytest.mark.parametrize(
@@ -169,7 +171,7 @@ def test_the_stage_writes_the_same_table_whatever_the_workers(tmp_path: Path, pa
         assert done.returncode == 0, done.stderr
         written.append(out.read_bytes())
     assert written[0] == written[1]
-    found = artifacts.read_table(out, label_table.VARIATIONS)
-    assert set(found["copy"]) == {"same", "split"}
-    assert found["submap"].nunique() == 2
+    labels = artifacts.read_table(out, label_table.VARIATIONS)
+    assert set(labels["copy"]) == {"same", "split"}
+    assert labels["submap"].nunique() == 2
     assert artifacts.table_metadata(out)["params"]["label"]["noise_sigma_m"] == 0.2

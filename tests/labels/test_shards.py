@@ -32,10 +32,10 @@ def survey(tmp_path: Path) -> Path:
 
 
 def test_a_label_read_is_the_label_kept_in_single_precision(survey: Path):
-    asked = job(survey)
-    (first, *_), made = shards.labels(asked)
-    label = monte_carlo.label(submap.read("toy", asked.submaps, 0), asked.runs, asked.settings, asked.registration)
-    assert made == SUBMAPS
+    task = job(survey)
+    (first, *_), computed = shards.labels(task)
+    label = monte_carlo.label(submap.read("toy", task.submaps, 0), task.runs, task.settings, task.registration)
+    assert computed == SUBMAPS
     assert first.row == label.row
     assert np.array_equal(first.errors, label.errors.astype(np.float32))
     assert np.array_equal(first.held_out, label.held_out.astype(np.float32))
@@ -43,16 +43,16 @@ def test_a_label_read_is_the_label_kept_in_single_precision(survey: Path):
 
 def test_what_is_kept_is_not_made_again(survey: Path):
     labels, _ = shards.labels(job(survey))
-    again, made = shards.labels(job(survey))
-    assert made == 0
-    assert all(map(same_label, labels, again))
+    reread, computed = shards.labels(job(survey))
+    assert computed == 0
+    assert all(map(same_label, labels, reread))
 
 
 def test_ten_new_submaps_label_ten(survey: Path):
     shards.labels(job(survey))
     write(survey, SUBMAPS + 10)
-    labels, made = shards.labels(job(survey))
-    assert (len(labels), made) == (SUBMAPS + 10, 10)
+    labels, computed = shards.labels(job(survey))
+    assert (len(labels), computed) == (SUBMAPS + 10, 10)
     assert [label.row["submap"] for label in labels] == list(range(SUBMAPS + 10))
 
 
@@ -63,31 +63,33 @@ def test_a_changed_parameter_labels_all_and_the_old_one_none(survey: Path):
 
 
 def test_the_name_changes_with_all_that_the_label_depends_on(survey: Path):
-    asked, of = job(survey), one(0)
-    split = dataclasses.replace(asked, settings=dataclasses.replace(SETTINGS, copy="split"))
-    others = [
-        dataclasses.replace(asked, runs=21).path(of),
-        dataclasses.replace(asked, settings=dataclasses.replace(SETTINGS, seed=3)).path(of),
-        dataclasses.replace(asked, registration=dataclasses.replace(asked.registration, neighbours=9)).path(of),
-        dataclasses.replace(asked, kernel="another").path(of),
-        asked.path(dataclasses.replace(of, survey="other")),
-        asked.path(dataclasses.replace(of, number=1)),
-        asked.path(dataclasses.replace(of, points=np.nextafter(of.points, np.inf))),
-        asked.path(dataclasses.replace(of, points=of.points.astype(np.float32))),
-        asked.path(dataclasses.replace(of, points=of.points.reshape(-1, 6))),
-        split.path(of),
-        split.path(dataclasses.replace(of, first=of.second, second=of.first)),
+    task, cloud = job(survey), one(0)
+    split = dataclasses.replace(task, settings=dataclasses.replace(SETTINGS, copy="split"))
+    paths = [
+        dataclasses.replace(task, runs=21).path(cloud),
+        dataclasses.replace(task, settings=dataclasses.replace(SETTINGS, seed=3)).path(cloud),
+        dataclasses.replace(task, registration=dataclasses.replace(task.registration, neighbours=9)).path(cloud),
+        dataclasses.replace(task, kernel="another").path(cloud),
+        task.path(dataclasses.replace(cloud, survey="other")),
+        task.path(dataclasses.replace(cloud, number=1)),
+        task.path(dataclasses.replace(cloud, points=np.nextafter(cloud.points, np.inf))),
+        task.path(dataclasses.replace(cloud, points=cloud.points.astype(np.float32))),
+        task.path(dataclasses.replace(cloud, points=cloud.points.reshape(-1, 6))),
+        split.path(cloud),
+        split.path(dataclasses.replace(cloud, first=cloud.second, second=cloud.first)),
     ]
-    assert len({asked.path(of), *others}) == len(others) + 1
+    assert len({task.path(cloud), *paths}) == len(paths) + 1
 
 
 def test_the_name_changes_with_nothing_else(survey: Path):
-    asked, of = job(survey), one(0)
-    elsewhere = dataclasses.replace(asked, submaps=survey / "x.parquet", folder=survey / "y")
-    assert elsewhere.path(of).name == asked.path(of).name
-    assert asked.path(dataclasses.replace(of, first=of.second)) == asked.path(of)  # `same` uses all the points only
-    split = dataclasses.replace(asked, settings=dataclasses.replace(SETTINGS, copy="split"))
-    assert split.path(dataclasses.replace(of, points=of.first)) == split.path(of)
+    task, cloud = job(survey), one(0)
+    elsewhere = dataclasses.replace(task, submaps=survey / "x.parquet", folder=survey / "y")
+    assert elsewhere.path(cloud).name == task.path(cloud).name
+    assert task.path(dataclasses.replace(cloud, first=cloud.second)) == task.path(
+        cloud
+    )  # `same` uses all the points only
+    split = dataclasses.replace(task, settings=dataclasses.replace(SETTINGS, copy="split"))
+    assert split.path(dataclasses.replace(cloud, points=cloud.first)) == split.path(cloud)
 
 
 def test_a_damaged_label_is_made_again(survey: Path):
@@ -95,17 +97,17 @@ def test_a_damaged_label_is_made_again(survey: Path):
     paths = sorted((survey / "shards").iterdir())
     rng = np.random.default_rng(0)
     for path, place in zip(paths[:6], rng.uniform(size=6), strict=True):
-        whole = path.read_bytes()
-        at = int(place * len(whole))
-        path.write_bytes(whole[:at])  # cut short
+        content = path.read_bytes()
+        cut = int(place * len(content))
+        path.write_bytes(content[:cut])  # cut short
     for path in paths[6:9]:
-        whole = path.read_bytes()
-        at = whole.index(b"errors.npy") + 150  # in the numbers
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        content = path.read_bytes()
+        cut = content.index(b"errors.npy") + 150  # in the numbers
+        path.write_bytes(content[:cut] + bytes([content[cut] ^ 1]) + content[cut + 1 :])
     shutil.copy(paths[10], paths[9])  # another submap's label
-    again, made = shards.labels(job(survey))
-    assert made == 10
-    assert all(map(same_label, expected, again))
+    reread, computed = shards.labels(job(survey))
+    assert computed == 10
+    assert all(map(same_label, expected, reread))
 
 
 def test_what_a_writer_left_half_written_long_ago_is_removed_and_what_another_writes_now_is_not(survey: Path):
@@ -137,8 +139,8 @@ def test_a_full_disk_keeps_what_was_finished_and_says_so(survey: Path, monkeypat
     monkeypatch.undo()
     monkeypatch.setenv("POINTNETKL_WORKERS", "1")
     assert len(list((survey / "shards").iterdir())) == len(intact(survey)) == 5
-    labels, made = shards.labels(job(survey))
-    assert made == SUBMAPS - 5
+    labels, computed = shards.labels(job(survey))
+    assert computed == SUBMAPS - 5
     assert all(map(same_label, expected, labels))
 
 
@@ -149,18 +151,18 @@ def test_a_worker_with_other_code_is_refused(survey: Path):
 
 
 def test_a_worker_that_sees_other_points_is_refused(survey: Path):
-    asked = job(survey)
-    name = asked.path(one(1)).name
+    task = job(survey)
+    name = task.path(one(1)).name
     with pytest.raises(ShardError, match="submap 0 has changed since the stage began"):
-        shards.make(asked, (0, name))
+        shards.make(task, (0, name))
     assert not intact(survey)
 
 
 def test_a_label_that_is_there_is_not_made_by_a_retry(survey: Path, monkeypatch: pytest.MonkeyPatch):
-    asked = job(survey)
-    shards.labels(asked)
+    task = job(survey)
+    shards.labels(task)
     monkeypatch.setattr(monte_carlo, "label", lambda *_: pytest.fail("made again"))
-    shards.make(asked, (0, asked.path(submap.read("toy", asked.submaps, 0)).name))
+    shards.make(task, (0, task.path(submap.read("toy", task.submaps, 0)).name))
 
 
 def test_labels_that_workers_keep_elsewhere_are_missed(survey: Path, monkeypatch: pytest.MonkeyPatch):
@@ -178,11 +180,11 @@ def test_numbers_that_are_not_finite_are_kept(tmp_path: Path):
     row = dict.fromkeys(label_table.LABELS.names, 0.5) | {"relative_error": np.float64(np.inf), "runs": np.int32(3)}
     label = monte_carlo.Label(row, np.full((3, 2), np.nan), np.zeros((0, 2)))
     shards.write(tmp_path / "x.npz", label)
-    found = shards.read(tmp_path / "x.npz")
-    assert found is not None
-    assert found.row == row
-    assert np.isnan(found.errors).all()
-    assert found.held_out.shape == (0, 2)
+    stored = shards.read(tmp_path / "x.npz")
+    assert stored is not None
+    assert stored.row == row
+    assert np.isnan(stored.errors).all()
+    assert stored.held_out.shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -194,9 +196,9 @@ def test_a_file_of_the_right_name_that_holds_no_whole_label_is_not_believed(surv
     label = shards.read(path)
     assert label is not None
     shards.write(path, dataclasses.replace(label, **spoiled))
-    again, made = shards.labels(job(survey))
-    assert made == 1
-    assert all(map(same_label, expected, again))
+    reread, computed = shards.labels(job(survey))
+    assert computed == 1
+    assert all(map(same_label, expected, reread))
 
 
 def version_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
@@ -207,26 +209,26 @@ def version_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_the_kernel_version_changes_with_the_code_and_not_with_line_ends_or_places(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    here = shards.kernel_version("cpu")
+    version = shards.kernel_version("cpu")
     copy = tmp_path / "elsewhere"
     shutil.copytree(SOURCE / "pointnetkl", copy, ignore=shutil.ignore_patterns("__pycache__"))
-    assert version_of(copy, monkeypatch) == here
+    assert version_of(copy, monkeypatch) == version
     for path in copy.rglob("*.py"):
         path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
-    assert version_of(copy, monkeypatch) == here
+    assert version_of(copy, monkeypatch) == version
     (copy / "plots.py").write_text("")
-    assert version_of(copy, monkeypatch) == here
+    assert version_of(copy, monkeypatch) == version
     for name in ("registration/gicp/kernel.py", "registration/monte_carlo.py"):
         with (copy / name).open("a") as file:
             file.write("CHANGED = 1\n")
-        assert version_of(copy, monkeypatch) != here
+        assert version_of(copy, monkeypatch) != version
         shutil.copy(SOURCE / "pointnetkl" / name, copy / name)
     monkeypatch.setattr(shards, "_version", lambda library: "0.0")
-    assert version_of(copy, monkeypatch) != here
+    assert version_of(copy, monkeypatch) != version
 
 
 def test_the_kernel_version_is_of_statements_wherever_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    here = shards.kernel_version("cpu")
+    version = shards.kernel_version("cpu")
     copy = tmp_path / "elsewhere"
     shutil.copytree(SOURCE / "pointnetkl", copy, ignore=shutil.ignore_patterns("__pycache__"))
     # a function moves to another file of the same room, the file gets another name, and its importer says so
@@ -239,7 +241,7 @@ def test_the_kernel_version_is_of_statements_wherever_they_stand(tmp_path: Path,
         kernel.read_text()[:last].replace("from pointnetkl.registration.gicp import", "from pointnetkl.rooms import")
     )
     weights.unlink()
-    assert version_of(copy, monkeypatch) == here
+    assert version_of(copy, monkeypatch) == version
 
 
 def test_statements_leave_out_what_decides_no_label():
@@ -258,8 +260,8 @@ def turned(x: float) -> float:
 
 "text"
 '''
-    kept = ["import math", "@cached\ndef turned(x: float) -> float:\n    return math.sin(x)"]
-    assert shards.statements(source) == kept
+    expected = ["import math", "@cached\ndef turned(x: float) -> float:\n    return math.sin(x)"]
+    assert shards.statements(source) == expected
     assert shards.statements("x = 1\n") != shards.statements("x = 2\n")
 
 

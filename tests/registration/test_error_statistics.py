@@ -13,10 +13,10 @@ def gaussian(runs: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).multivariate_normal([0, 0], Q, runs)
 
 
-def two_basins(runs: int, share: float, apart: float = 5.0) -> np.ndarray:
+def two_basins(runs: int, share: float, offset_m: float = 5.0) -> np.ndarray:
     """Return errors of 1 cm, but for a share of them a basin apart along x."""
     sample = 0.01 * np.random.default_rng(1).standard_normal((runs, 2))
-    sample[: round(share * runs), 0] += apart
+    sample[: round(share * runs), 0] += offset_m
     return sample
 
 
@@ -95,10 +95,10 @@ def test_errors_on_a_line_have_no_relative_error(direction: tuple[float, float])
     assert error_statistics.relative_error(sample) == np.inf
 
 
-@pytest.mark.parametrize(("outside", "apart"), [(0, 0.0), (100, 4.0), (400, 4.0)])
-def test_the_main_basin_is_the_fuller_one(outside: int, apart: float):
+@pytest.mark.parametrize(("outside", "offset_m"), [(0, 0.0), (100, 4.0), (400, 4.0)])
+def test_the_main_basin_is_the_fuller_one(outside: int, offset_m: float):
     sample = 0.1 * np.random.default_rng(1).standard_normal((1000, 2)) @ [[1, 0.5], [0, 0.3]]
-    sample[:outside] += apart
+    sample[:outside] += offset_m
     assert error_statistics.main_basin_share(sample) == pytest.approx(1 - outside / 1000, abs=0.03)
 
 

@@ -27,9 +27,9 @@ def submap(kind: str, points: int = 1000, number: int = 0) -> Submap:
     return Submap("baltic", number, *(terrains.cloud(kind, points, p) for p in range(3)))
 
 
-def errors(of: Submap, runs: int = 200, settings: monte_carlo.Settings = SETTINGS) -> np.ndarray:
-    rng = monte_carlo.generator(settings, of, Stream.LABEL)
-    return monte_carlo.errors(of, runs, rng, settings, REGISTRATION).errors
+def errors(cloud: Submap, runs: int = 200, settings: monte_carlo.Settings = SETTINGS) -> np.ndarray:
+    rng = monte_carlo.generator(settings, cloud, Stream.LABEL)
+    return monte_carlo.errors(cloud, runs, rng, settings, REGISTRATION).errors
 
 
 def test_the_covariance_is_largest_along_a_ridge() -> None:
@@ -58,9 +58,9 @@ def test_registration_is_better_than_none() -> None:
         assert np.linalg.eigvalsh(monte_carlo.covariance(errors(submap(kind))))[1] < SETTINGS.prior_variance_m2
 
 
-def errors_with_yaw(of: Submap, runs: int, **changes: float) -> np.ndarray:
+def errors_with_yaw(cloud: Submap, runs: int, **changes: float) -> np.ndarray:
     registration = dataclasses.replace(REGISTRATION, dof="xyyaw", **changes)
-    return monte_carlo.errors(of, runs, np.random.default_rng(3), SETTINGS, registration).errors
+    return monte_carlo.errors(cloud, runs, np.random.default_rng(3), SETTINGS, registration).errors
 
 
 def test_a_registration_that_finds_no_match_leaves_the_whole_perturbation() -> None:
@@ -75,16 +75,16 @@ def test_registration_finds_yaw_and_finds_it_best_on_rugged_ground() -> None:
 
 
 def test_errors_with_yaw_are_about_the_middle_of_the_submap_wherever_its_frame_has_its_origin() -> None:
-    of = submap("mild", 300)
-    away = dataclasses.replace(of, points=of.points + np.array([60.0, -40.0, 5.0]))
-    assert errors_with_yaw(away, 20) == pytest.approx(errors_with_yaw(of, 20), abs=1e-3)
+    cloud = submap("mild", 300)
+    away = dataclasses.replace(cloud, points=cloud.points + np.array([60.0, -40.0, 5.0]))
+    assert errors_with_yaw(away, 20) == pytest.approx(errors_with_yaw(cloud, 20), abs=1e-3)
 
 
 def test_errors_with_yaw_turn_with_the_submap_and_yaw_does_not() -> None:
     straight, (c, s) = submap("rugged", 500), (np.cos(1.0), np.sin(1.0))
     turned = dataclasses.replace(straight, points=straight.points @ [[c, s, 0], [-s, c, 0], [0, 0, 1]])
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    q, other = (monte_carlo.covariance(errors_with_yaw(of, 1000)) for of in (straight, turned))
+    q, other = (monte_carlo.covariance(errors_with_yaw(cloud, 1000)) for cloud in (straight, turned))
     sigma = np.sqrt(np.diag(other))
     assert (R @ q @ R.T) / np.outer(sigma, sigma) == pytest.approx(other / np.outer(sigma, sigma), abs=0.15)
 
@@ -98,8 +98,8 @@ def test_a_label_with_yaw_describes_errors_that_it_has_not_seen() -> None:
 
 
 def test_a_copy_flatters_and_another_pass_does_not() -> None:
-    of = submap("rugged")
-    same, split = (monte_carlo.covariance(errors(of, settings=s)) for s in (SETTINGS, SPLIT))
+    cloud = submap("rugged")
+    same, split = (monte_carlo.covariance(errors(cloud, settings=s)) for s in (SETTINGS, SPLIT))
     assert np.trace(split) > 2 * np.trace(same)
 
 
@@ -108,9 +108,9 @@ def test_labels_do_not_depend_on_the_number_of_workers_or_the_order(monkeypatch:
 
     label = functools.partial(monte_carlo.label, runs=20, settings=SETTINGS, registration=REGISTRATION)
     results = []
-    for workers, some in ((1, submaps), (3, submaps), (2, submaps[::-1])):
+    for workers, ordered in ((1, submaps), (3, submaps), (2, submaps[::-1])):
         monkeypatch.setenv("POINTNETKL_WORKERS", str(workers))
-        results.append({r.row["submap"]: r for r in compute.in_threads(label, some, "label")})
+        results.append({r.row["submap"]: r for r in compute.in_threads(label, ordered, "label")})
     for other in results[1:]:
         for number, first in results[0].items():
             assert first.row == other[number].row
@@ -119,12 +119,12 @@ def test_labels_do_not_depend_on_the_number_of_workers_or_the_order(monkeypatch:
 
 
 def test_the_first_runs_are_the_same_however_many_follow_or_are_made_at_once() -> None:
-    of = submap("mild", 300)
-    many = errors(of, 230)
-    assert np.array_equal(many[:30], errors(of, 30))
+    cloud = submap("mild", 300)
+    all_errors = errors(cloud, 230)
+    assert np.array_equal(all_errors[:30], errors(cloud, 30))
     # a target looks at the errors every 100 runs
-    looked_at = monte_carlo.label(of, 230, dataclasses.replace(SETTINGS, target_relative_error=1e-9), REGISTRATION)
-    assert np.array_equal(many, looked_at.errors)
+    looked_at = monte_carlo.label(cloud, 230, dataclasses.replace(SETTINGS, target_relative_error=1e-9), REGISTRATION)
+    assert np.array_equal(all_errors, looked_at.errors)
 
 
 def test_held_out_errors_share_no_draw_with_the_label() -> None:
@@ -161,15 +161,15 @@ def test_a_label_without_any_error_is_refused(monkeypatch: pytest.MonkeyPatch) -
 
 def pretend(monkeypatch: pytest.MonkeyPatch, sample: np.ndarray, shared: np.ndarray | None = None) -> None:
     """Let registrations end with these errors (n, 2), one after the other, those of `shared` converged."""
-    left = iter(range(len(sample)))
+    remaining = iter(range(len(sample)))
 
     def register(
         source: gicp.Cloud, target: gicp.Cloud, moved: np.ndarray, *_: object, **__: object
     ) -> gicp.Registrations:
-        these = np.array([next(left) for _ in moved])
-        converged = np.ones(len(these), np.bool_) if shared is None else shared[these]
-        T_target_copy = SE2(sample[these] - moved, np.zeros(len(these)))
-        return gicp.Registrations(T_target_copy, converged, iterations=these % 4)
+        indices = np.array([next(remaining) for _ in moved])
+        converged = np.ones(len(indices), np.bool_) if shared is None else shared[indices]
+        T_target_copy = SE2(sample[indices] - moved, np.zeros(len(indices)))
+        return gicp.Registrations(T_target_copy, converged, iterations=indices % 4)
 
     monkeypatch.setattr(gicp, "register_noisy", register)
 
@@ -179,14 +179,14 @@ def test_a_label_holds_what_its_registrations_ended_with(monkeypatch: pytest.Mon
     sample[:40] += [30.0, 0.0]  # the second basin
     converged = np.arange(400) % 5 != 0
     pretend(monkeypatch, np.concatenate([sample, sample[:10]]), np.concatenate([converged, converged[:10]]))
-    found = monte_carlo.label(submap("flat", 100), 400, SETTINGS, REGISTRATION)
-    row, q = found.row, np.einsum("li,lj->ij", sample, sample) / 399
+    label = monte_carlo.label(submap("flat", 100), 400, SETTINGS, REGISTRATION)
+    row, q = label.row, np.einsum("li,lj->ij", sample, sample) / 399
     assert [row[name] for name in ("q_xx_m2", "q_xy_m2", "q_yy_m2")] == pytest.approx([q[0, 0], q[0, 1], q[1, 1]])
     assert [row["mean_x_m"], row["mean_y_m"]] == pytest.approx(sample.mean(axis=0).tolist())
     assert (row["runs"], row["converged_share"], row["iterations_mean"]) == (400, 0.8, 1.5)
     assert row["main_basin_share"] == pytest.approx(0.9 * 0.99, abs=0.02)
-    assert np.allclose(found.errors, sample)
-    assert np.allclose(found.held_out, sample[:10])
+    assert np.allclose(label.errors, sample)
+    assert np.allclose(label.held_out, sample[:10])
 
 
 TARGET = dataclasses.replace(SETTINGS, held_out_runs=0, target_relative_error=0.2)
@@ -194,21 +194,23 @@ TARGET = dataclasses.replace(SETTINGS, held_out_runs=0, target_relative_error=0.
 
 @pytest.mark.parametrize("kind", ["flat", "rugged"])
 def test_a_label_that_stops_early_is_the_label_of_so_many_runs(kind: str) -> None:
-    of, stopping = submap(kind, 300), dataclasses.replace(TARGET, held_out_runs=7)
-    stopped = monte_carlo.label(of, 1000, stopping, REGISTRATION)
-    asked = monte_carlo.label(of, stopped.row["runs"], dataclasses.replace(SETTINGS, held_out_runs=7), REGISTRATION)
+    cloud, stopping = submap(kind, 300), dataclasses.replace(TARGET, held_out_runs=7)
+    stopped = monte_carlo.label(cloud, 1000, stopping, REGISTRATION)
+    same_runs = monte_carlo.label(
+        cloud, stopped.row["runs"], dataclasses.replace(SETTINGS, held_out_runs=7), REGISTRATION
+    )
     assert stopped.row["runs"] < 1000
     assert stopped.row["relative_error"] <= 0.2
-    assert stopped.row == asked.row
-    assert np.array_equal(stopped.errors, asked.errors)
-    assert np.array_equal(stopped.held_out, asked.held_out)
+    assert stopped.row == same_runs.row
+    assert np.array_equal(stopped.errors, same_runs.errors)
+    assert np.array_equal(stopped.held_out, same_runs.held_out)
 
 
 def test_a_label_never_stops_before_100_runs_nor_makes_more_than_it_may() -> None:
-    for target, runs, made in ((5.0, 500, 100), (5.0, 60, 60), (1e-6, 230, 230)):
+    for target, runs, expected in ((5.0, 500, 100), (5.0, 60, 60), (1e-6, 230, 230)):
         settings = dataclasses.replace(TARGET, target_relative_error=target)
         label = monte_carlo.label(submap("mild", 100), runs, settings, REGISTRATION)
-        assert label.row["runs"] == len(label.errors) == made
+        assert label.row["runs"] == len(label.errors) == expected
 
 
 def stops(monkeypatch: pytest.MonkeyPatch, share: float, tails: float, most: int) -> tuple[float, float]:
@@ -216,14 +218,14 @@ def stops(monkeypatch: pytest.MonkeyPatch, share: float, tails: float, most: int
 
     Errors are of Student's t of so many degrees of freedom, but for a share of them some hundred times wider.
     """
-    rng, of, covered, stopped = np.random.default_rng(3), submap("flat", 100), [], []
+    rng, cloud, covered, stopped = np.random.default_rng(3), submap("flat", 100), [], []
     wide = 2.0
     true = (1 - share) * 0.02**2 * tails / (tails - 2) + share * wide**2
     for _ in range(150):
         inside = 0.02 * rng.standard_t(tails, (most, 2))
         outside = wide * rng.standard_normal((most, 2))
         pretend(monkeypatch, np.where(rng.random((most, 1)) < share, outside, inside))
-        row = monte_carlo.label(of, most, TARGET, REGISTRATION).row
+        row = monte_carlo.label(cloud, most, TARGET, REGISTRATION).row
         covered.append(abs(row["q_xx_m2"] - true) <= 2 * row["se_xx_m2"])
         stopped.append(row["runs"] < most)
     return float(np.mean(covered)), float(np.mean(stopped))

@@ -21,9 +21,9 @@ SPACING_M = 4.0
 ROOT = Path(__file__).parents[2]
 
 
-def cut(one: Whole, length_m: float = 100.0, seed: int = 1) -> Cut:
+def cut(survey: Whole, length_m: float = 100.0, seed: int = 1) -> Cut:
     return whole_survey.cut(
-        segmentation.segment, "small", one.pings, [one.soundings], length_m, SPACING_M, Settings(seed, 30.0)
+        segmentation.segment, "small", survey.pings, [survey.soundings], length_m, SPACING_M, Settings(seed, 30.0)
     )
 
 
@@ -33,20 +33,20 @@ def small() -> Whole:
 
 
 @pytest.fixture(scope="module")
-def found(small: Whole) -> Cut:
+def segments(small: Whole) -> Cut:
     return cut(small)
 
 
-def map_points(found: Cut, number: int, points: np.ndarray) -> np.ndarray:
-    row = found.poses.iloc[number]
+def map_points(segments: Cut, number: int, points: np.ndarray) -> np.ndarray:
+    row = segments.poses.iloc[number]
     return pose.transform(pose.matrix(row[["x_m", "y_m", "z_m"]].to_numpy(float), row["yaw_rad"]), points)
 
 
-def test_every_submap_has_the_same_track_length(small: Whole, found: Cut):
-    assert len(found.submaps) == 6
-    assert (found.poses["track_m"] == 100.0).all()
-    assert found.poses["pings"].between(100, 101).all()
-    assert found.poses["pings"].sum() == len(small.pings)
+def test_every_submap_has_the_same_track_length(small: Whole, segments: Cut):
+    assert len(segments.submaps) == 6
+    assert (segments.poses["track_m"] == 100.0).all()
+    assert segments.poses["pings"].between(100, 101).all()
+    assert segments.poses["pings"].sum() == len(small.pings)
 
 
 def test_the_end_of_a_line_is_a_submap_from_nine_tenths_of_a_length_on_and_else_counted():
@@ -69,36 +69,38 @@ def test_a_submap_on_a_turn_is_dropped_and_counted():
     assert [stretch.straight for stretch in loop.stretches] == [False]
 
 
-def test_the_frame_stands_at_the_middle_ping_and_points_along_the_track(small: Whole, found: Cut):
-    for row in found.poses.itertuples():
+def test_the_frame_stands_at_the_middle_ping_and_points_along_the_track(small: Whole, segments: Cut):
+    for row in segments.poses.itertuples():
         ping = small.pings[small.pings["time_s"] == row.time_s].iloc[0]
         assert (row.x_m, row.y_m, row.z_m) == (ping["x_m"], ping["y_m"], ping["z_m"])
         assert np.cos(row.yaw_rad - ping["yaw_rad"]) == pytest.approx(1.0)
-    for one in found.submaps:
-        extent = np.ptp(one.points, axis=0)
+    for cloud in segments.submaps:
+        extent = np.ptp(cloud.points, axis=0)
         assert extent[0] == pytest.approx(100, abs=2)
         assert extent[1] == pytest.approx(80, abs=4)
-        assert abs(one.points[:, 0].mean()) < 2  # the middle ping is in the middle
+        assert abs(cloud.points[:, 0].mean()) < 2  # the middle ping is in the middle
 
 
-def test_noisy_headings_do_not_turn_the_frame(small: Whole, found: Cut):
+def test_noisy_headings_do_not_turn_the_frame(small: Whole, segments: Cut):
     noise = 0.1 * np.random.default_rng(3).standard_normal(len(small.pings))
     noisy = Whole(small.pings.assign(yaw_rad=small.pings["yaw_rad"] + noise), small.soundings)
-    assert cut(noisy).poses.equals(found.poses)
+    assert cut(noisy).poses.equals(segments.poses)
 
 
-def test_points_keep_their_place_on_the_map(small: Whole, found: Cut):
+def test_points_keep_their_place_on_the_map(small: Whole, segments: Cut):
     everywhere = small.soundings[["x_m", "y_m", "z_m"]].to_numpy()
-    for one in found.submaps:
-        distance, _ = spacing.cKDTree(everywhere).query(map_points(found, one.number, one.points))
+    for cloud in segments.submaps:
+        distance, _ = spacing.cKDTree(everywhere).query(map_points(segments, cloud.number, cloud.points))
         assert distance.max() < 1e-9
 
 
-def test_the_halves_come_from_alternate_pings(small: Whole, found: Cut):
+def test_the_halves_come_from_alternate_pings(small: Whole, segments: Cut):
     xyz, ping = small.soundings[["x_m", "y_m", "z_m"]].to_numpy(), small.soundings["ping"].to_numpy()
     tree = spacing.cKDTree(xyz)
-    for one in found.submaps:
-        first, second = (ping[tree.query(map_points(found, one.number, half))[1]] for half in (one.first, one.second))
+    for cloud in segments.submaps:
+        first, second = (
+            ping[tree.query(map_points(segments, cloud.number, half))[1]] for half in (cloud.first, cloud.second)
+        )
         assert len(set(first % 2)) == len(set(second % 2)) == 1
         assert first[0] % 2 != second[0] % 2
 
@@ -108,21 +110,21 @@ def test_the_two_heads_of_a_sonar_stay_in_one_half(small: Whole):
     starboard = small.soundings["beam"] >= 30
     pings = small.pings.loc[small.pings.index.repeat(2)].assign(ping=np.arange(2 * len(small.pings), dtype=np.int32))
     soundings = small.soundings.assign(ping=2 * small.soundings["ping"] + starboard)
-    found = cut(Whole(pings, soundings))
-    for one in found.submaps:
-        for half in (one.first, one.second):
+    segments = cut(Whole(pings, soundings))
+    for cloud in segments.submaps:
+        for half in (cloud.first, cloud.second):
             assert np.mean(half[:, 1] > 0) == pytest.approx(0.5, abs=0.05)
-    whole = cut(small)
-    assert all(np.array_equal(a.first, b.first) for a, b in zip(found.submaps, whole.submaps, strict=True))
+    complete = cut(small)
+    assert all(np.array_equal(a.first, b.first) for a, b in zip(segments.submaps, complete.submaps, strict=True))
 
 
-def test_thinning_leaves_one_point_in_every_occupied_cell(small: Whole, found: Cut):
-    for one in found.submaps:
-        for part in (one.points, one.first, one.second):
+def test_thinning_leaves_one_point_in_every_occupied_cell(small: Whole, segments: Cut):
+    for cloud in segments.submaps:
+        for part in (cloud.points, cloud.first, cloud.second):
             assert len(np.unique(spacing.cells(part, SPACING_M))) == len(part)
     everything = np.random.default_rng(0).uniform(-30, 30, (5000, 3))
-    kept = everything[spacing.thin(everything, SPACING_M, np.random.default_rng(0))]
-    assert len(kept) == len(np.unique(spacing.cells(everything, SPACING_M)))
+    thinned = everything[spacing.thin(everything, SPACING_M, np.random.default_rng(0))]
+    assert len(thinned) == len(np.unique(spacing.cells(everything, SPACING_M)))
 
 
 def test_thinning_prefers_no_sounding_of_a_cell():
@@ -132,13 +134,13 @@ def test_thinning_prefers_no_sounding_of_a_cell():
     assert np.bincount(drawn, minlength=3) == pytest.approx([1000, 1000, 1000], abs=100)
 
 
-def test_parts_of_any_size_give_the_same_submaps(small: Whole, found: Cut):
+def test_parts_of_any_size_give_the_same_submaps(small: Whole, segments: Cut):
     for rows in (1000, 7777, 10**6):
         parts = [small.soundings[begin : begin + rows] for begin in range(0, len(small.soundings), rows)]
-        again = whole_survey.cut(segmentation.segment, "small", small.pings, parts, 100.0, SPACING_M, Settings(1, 30.0))
-        assert again.poses.equals(found.poses)
-        assert to_table(again.submaps).equals(to_table(found.submaps))
-        assert again.dropped == found.dropped
+        other = whole_survey.cut(segmentation.segment, "small", small.pings, parts, 100.0, SPACING_M, Settings(1, 30.0))
+        assert other.poses.equals(segments.poses)
+        assert to_table(other.submaps).equals(to_table(segments.submaps))
+        assert other.dropped == segments.dropped
 
 
 def test_soundings_out_of_the_order_of_pings_are_refused(small: Whole):
@@ -146,10 +148,10 @@ def test_soundings_out_of_the_order_of_pings_are_refused(small: Whole):
         cut(Whole(small.pings, small.soundings.sample(frac=1, random_state=5)))
 
 
-def test_another_seed_draws_other_soundings(small: Whole, found: Cut):
+def test_another_seed_draws_other_soundings(small: Whole, segments: Cut):
     other = cut(small, seed=2)
-    assert other.poses.equals(found.poses)
-    assert not np.array_equal(other.submaps[0].points, found.submaps[0].points)
+    assert other.poses.equals(segments.poses)
+    assert not np.array_equal(other.submaps[0].points, segments.submaps[0].points)
 
 
 def test_a_blunder_is_left_out_and_a_rock_is_kept(small: Whole):
@@ -159,9 +161,9 @@ def test_a_blunder_is_left_out_and_a_rock_is_kept(small: Whole):
     soundings.loc[rock, "z_m"] += 8
     blunders = np.arange(500, len(soundings), 997)
     soundings.loc[blunders, "z_m"] -= 8
-    left = cut(Whole(small.pings, soundings))
-    assert len(blunders) == left.dropped["soundings standing alone"]
-    assert max(one.points[:, 2].max() for one in left.submaps) > -62 + 20 + 8
+    remaining = cut(Whole(small.pings, soundings))
+    assert len(blunders) == remaining.dropped["soundings standing alone"]
+    assert max(cloud.points[:, 2].max() for cloud in remaining.submaps) > -62 + 20 + 8
 
 
 def test_a_wall_loses_no_sounding():
@@ -184,12 +186,12 @@ def test_soundings_of_bad_quality_or_without_a_position_are_left_out_and_counted
     assert (dropped["soundings of bad quality"], dropped["soundings without a valid position"]) == (10, 6)
 
 
-def test_a_submap_of_too_few_points_is_dropped_and_the_numbers_stay_consecutive(small: Whole, found: Cut):
+def test_a_submap_of_too_few_points_is_dropped_and_the_numbers_stay_consecutive(small: Whole, segments: Cut):
     sparse = small.soundings[~small.soundings["ping"].between(100, 198) | (small.soundings["beam"] == 30)]
-    left = cut(Whole(small.pings, sparse))
-    assert left.dropped["submaps of too few points"] == 1
-    assert left.poses["submap"].tolist() == [one.number for one in left.submaps] == [0, 1, 2, 3, 4]
-    assert left.poses["time_s"].tolist() == found.poses["time_s"].drop(1).tolist()
+    remaining = cut(Whole(small.pings, sparse))
+    assert remaining.dropped["submaps of too few points"] == 1
+    assert remaining.poses["submap"].tolist() == [cloud.number for cloud in remaining.submaps] == [0, 1, 2, 3, 4]
+    assert remaining.poses["time_s"].tolist() == segments.poses["time_s"].drop(1).tolist()
 
 
 def test_a_survey_too_short_says_how_long_it_is_and_what_to_change():
@@ -228,8 +230,15 @@ def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("small: 6 submaps of ")
     submaps = from_table("small", artifacts.read_table(tmp_path / "submaps.parquet", POINTS))
-    assert [one.number for one in submaps] == artifacts.read_table(tmp_path / "poses.parquet", POSES)["submap"].tolist()
+    assert [cloud.number for cloud in submaps] == artifacts.read_table(tmp_path / "poses.parquet", POSES)[
+        "submap"
+    ].tolist()
     assert artifacts.table_metadata(tmp_path / "poses.parquet")["params"]["point_spacing_m"] == 4.0
     unknown = segment_stage(tmp_path, "smal")
     assert unknown.returncode == 1
     assert unknown.stderr == "error: params.yaml: there is no study.surveys.smal; at 'smal' the file has small\n"
+
+
+def test_the_spacing_of_a_lattice_is_its_step():
+    x, y = np.meshgrid(2.0 * np.arange(9), 3.0 * np.arange(9))
+    assert spacing.between_neighbours(np.c_[x.ravel(), y.ravel(), 0 * x.ravel()]) == 2.0

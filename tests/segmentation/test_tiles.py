@@ -37,8 +37,8 @@ def cut(
     points: pd.DataFrame, rows: int = 10**6, seed: int = 1, spacing_m: float = SPACING_M
 ) -> tuple[list[Submap], Segmentation]:
     parts = [points[begin : begin + rows] for begin in range(0, len(points), rows)]
-    found: list[Submap] = []
-    return found, tiles.segment("shoal", parts, EDGE_M, spacing_m, seed, found.append)
+    submaps: list[Submap] = []
+    return submaps, tiles.segment("shoal", parts, EDGE_M, spacing_m, seed, submaps.append)
 
 
 @pytest.fixture(scope="module")
@@ -47,60 +47,60 @@ def points() -> pd.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def found(points: pd.DataFrame) -> tuple[list[Submap], Segmentation]:
+def tiled(points: pd.DataFrame) -> tuple[list[Submap], Segmentation]:
     return cut(points)
 
 
-def test_tiles_cover_a_surface_row_by_row_to_and_fro(found: tuple[list[Submap], Segmentation]):
-    submaps, tiling = found
-    assert [one.number for one in submaps] == tiling.poses["submap"].tolist() == list(range(8))
+def test_tiles_cover_a_surface_row_by_row_to_and_fro(tiled: tuple[list[Submap], Segmentation]):
+    submaps, tiling = tiled
+    assert [cloud.number for cloud in submaps] == tiling.poses["submap"].tolist() == list(range(8))
     assert tiling.poses["x_m"].tolist() == [25.0, 75.0, 125.0, 175.0, 175.0, 125.0, 75.0, 25.0]
     assert tiling.poses["y_m"].tolist() == [25.0] * 4 + [75.0] * 4
     assert tiling.poses["line"].tolist() == [0] * 4 + [1] * 4
 
 
-def test_a_tile_s_frame_is_at_its_centre_and_its_points_mean_height(found: tuple[list[Submap], Segmentation]):
-    for one, place in zip(found[0], found[1].poses.itertuples(), strict=True):
-        assert np.abs(one.points[:, :2]).max() <= EDGE_M / 2
-        assert one.points[:, 2] + place.z_m == pytest.approx(
-            seabed(one.points[:, 0] + place.x_m, one.points[:, 1] + place.y_m)
+def test_a_tile_s_frame_is_at_its_centre_and_its_points_mean_height(tiled: tuple[list[Submap], Segmentation]):
+    for cloud, place in zip(tiled[0], tiled[1].poses.itertuples(), strict=True):
+        assert np.abs(cloud.points[:, :2]).max() <= EDGE_M / 2
+        assert cloud.points[:, 2] + place.z_m == pytest.approx(
+            seabed(cloud.points[:, 0] + place.x_m, cloud.points[:, 1] + place.y_m)
         )
-        assert abs(one.points[:, 2].mean()) < 0.2
+        assert abs(cloud.points[:, 2].mean()) < 0.2
 
 
-def test_points_that_nobody_pinged_have_neither_time_nor_pings(found: tuple[list[Submap], Segmentation]):
-    poses = found[1].poses
+def test_points_that_nobody_pinged_have_neither_time_nor_pings(tiled: tuple[list[Submap], Segmentation]):
+    poses = tiled[1].poses
     assert poses["time_s"].isna().all()
     assert (poses[["pings", "yaw_rad"]] == 0).all(axis=None)
     assert (poses["track_m"] == EDGE_M).all()
     assert poses["soundings"].sum() == 40_000
 
 
-def test_every_tile_has_one_point_in_each_cell_and_so_have_its_halves(found: tuple[list[Submap], Segmentation]):
-    for one in found[0]:
-        for part in (one.points, one.first, one.second):
+def test_every_tile_has_one_point_in_each_cell_and_so_have_its_halves(tiled: tuple[list[Submap], Segmentation]):
+    for cloud in tiled[0]:
+        for part in (cloud.points, cloud.first, cloud.second):
             assert len(np.unique(spacing.cells(part, SPACING_M))) == len(part)
-        assert len(one.points) == pytest.approx((EDGE_M / SPACING_M) ** 2, rel=0.1)
-        assert min(len(one.first), len(one.second)) > 0.95 * len(one.points)
+        assert len(cloud.points) == pytest.approx((EDGE_M / SPACING_M) ** 2, rel=0.1)
+        assert min(len(cloud.first), len(cloud.second)) > 0.95 * len(cloud.points)
 
 
-def test_no_point_is_in_both_halves(found: tuple[list[Submap], Segmentation]):
-    for one in found[0]:
-        assert not set(map(tuple, one.first)) & set(map(tuple, one.second))
+def test_no_point_is_in_both_halves(tiled: tuple[list[Submap], Segmentation]):
+    for cloud in tiled[0]:
+        assert not set(map(tuple, cloud.first)) & set(map(tuple, cloud.second))
 
 
 def test_tiles_do_not_depend_on_how_the_points_come_in_parts(
-    points: pd.DataFrame, found: tuple[list[Submap], Segmentation], monkeypatch: pytest.MonkeyPatch
+    points: pd.DataFrame, tiled: tuple[list[Submap], Segmentation], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(tiles, "_FLUSHED", 3000)
     for rows in (777, 10_000):
         submaps, tiling = cut(points, rows)
-        assert tiling.poses.equals(found[1].poses)
-        assert submap.to_table(submaps).equals(submap.to_table(found[0]))
+        assert tiling.poses.equals(tiled[1].poses)
+        assert submap.to_table(submaps).equals(submap.to_table(tiled[0]))
 
 
-def test_another_seed_draws_other_points(points: pd.DataFrame, found: tuple[list[Submap], Segmentation]):
-    assert not np.array_equal(cut(points, seed=2)[0][0].points, found[0][0].points)
+def test_another_seed_draws_other_points(points: pd.DataFrame, tiled: tuple[list[Submap], Segmentation]):
+    assert not np.array_equal(cut(points, seed=2)[0][0].points, tiled[0][0].points)
 
 
 def test_a_blunder_and_points_of_bad_quality_are_left_out_and_counted(points: pd.DataFrame):
@@ -112,14 +112,14 @@ def test_a_blunder_and_points_of_bad_quality_are_left_out_and_counted(points: pd
     assert tiling.dropped["soundings of bad quality"] == 100
     assert tiling.dropped["soundings without a valid position"] == 5
     assert tiling.dropped["soundings standing alone"] == 6
-    assert max(one.points[:, 2].max() for one in submaps) < 20
+    assert max(cloud.points[:, 2].max() for cloud in submaps) < 20
 
 
 def test_a_tile_at_the_edge_of_the_surface_is_dropped_and_counted():
     submaps, tiling = cut(surface(30_000, (115.0, 50.0)))
     assert len(submaps) == 2
     assert tiling.dropped["tiles of which points cover less than half"] == 1
-    submaps, tiling = cut(pd.concat([surface(), surface(20, (5.0, 5.0)).assign(x_m=lambda of: of["x_m"] + 900.0)]))
+    submaps, tiling = cut(pd.concat([surface(), surface(20, (5.0, 5.0)).assign(x_m=lambda rows: rows["x_m"] + 900.0)]))
     assert len(submaps) == 8
     assert tiling.dropped["tiles of too few points"] == 1
 
@@ -128,7 +128,7 @@ def test_tiles_on_both_sides_of_the_origin_are_of_one_size(points: pd.DataFrame)
     moved = points.assign(x_m=points["x_m"] - 100.0, y_m=points["y_m"] - 50.0)
     submaps, tiling = cut(moved)
     assert tiling.poses["x_m"].tolist()[:4] == [-75.0, -25.0, 25.0, 75.0]
-    assert max(len(one.points) for one in submaps) < 1.1 * min(len(one.points) for one in submaps)
+    assert max(len(cloud.points) for cloud in submaps) < 1.1 * min(len(cloud.points) for cloud in submaps)
 
 
 def test_points_too_sparse_for_their_spacing_say_how_dense_they_are():
@@ -176,23 +176,23 @@ def keep(pings: pd.DataFrame, soundings: pd.DataFrame) -> Cut:
 
 def test_submaps_of_another_program_keep_their_cut_and_their_frame():
     pings, soundings = ready()
-    found = keep(pings, soundings)
-    assert found.poses["soundings"].tolist() == [3000] * 3
+    segments = keep(pings, soundings)
+    assert segments.poses["soundings"].tolist() == [3000] * 3
     for name in ("x_m", "y_m", "z_m", "yaw_rad"):
-        assert found.poses[name].tolist() == pings[name].tolist()
-    assert found.poses["track_m"].tolist()[:2] == pytest.approx([50.0, 50.0])
-    assert np.isnan(found.poses["track_m"].iloc[-1])
-    for one in found.submaps:
-        assert one.points[:, 2] == pytest.approx(np.sin(one.points[:, 0] / 5) - 9.0)
-        assert np.ptp(one.points[:, :2], axis=0) == pytest.approx([40, 40], abs=2)
-        assert not set(map(tuple, one.first)) & set(map(tuple, one.second))
+        assert segments.poses[name].tolist() == pings[name].tolist()
+    assert segments.poses["track_m"].tolist()[:2] == pytest.approx([50.0, 50.0])
+    assert np.isnan(segments.poses["track_m"].iloc[-1])
+    for cloud in segments.submaps:
+        assert cloud.points[:, 2] == pytest.approx(np.sin(cloud.points[:, 0] / 5) - 9.0)
+        assert np.ptp(cloud.points[:, :2], axis=0) == pytest.approx([40, 40], abs=2)
+        assert not set(map(tuple, cloud.first)) & set(map(tuple, cloud.second))
 
 
 def test_a_submap_of_another_program_with_too_few_points_is_dropped_and_counted():
     pings, soundings = ready()
-    found = keep(pings, soundings[(soundings["ping"] != 1) | (soundings["beam"] < 30)])
-    assert found.dropped["submaps of too few points"] == 1
-    assert found.poses["time_s"].tolist() == [0.0, 2.0]
+    segments = keep(pings, soundings[(soundings["ping"] != 1) | (soundings["beam"] < 30)])
+    assert segments.dropped["submaps of too few points"] == 1
+    assert segments.poses["time_s"].tolist() == [0.0, 2.0]
 
 
 def segment_stage(folder: Path, kind: str, soundings: pd.DataFrame, pings: pd.DataFrame | None = None) -> str:
@@ -212,13 +212,13 @@ def segment_stage(folder: Path, kind: str, soundings: pd.DataFrame, pings: pd.Da
 
 
 def test_the_stage_takes_its_way_by_the_kind_of_the_survey(
-    tmp_path: Path, points: pd.DataFrame, found: tuple[list[Submap], Segmentation]
+    tmp_path: Path, points: pd.DataFrame, tiled: tuple[list[Submap], Segmentation]
 ):
     assert segment_stage(tmp_path, "points", points).startswith("shoal: 8 submaps of ")
     written = submap.from_table("shoal", artifacts.read_table(tmp_path / "submaps.parquet", submap.POINTS))
-    assert np.array_equal(written[3].points.astype(np.float32), found[0][3].points.astype(np.float32))
+    assert np.array_equal(written[3].points.astype(np.float32), tiled[0][3].points.astype(np.float32))
     assert artifacts.read_table(tmp_path / "poses.parquet", submap.POSES).equals(
-        found[1].poses.astype({"submap": "int32", "pings": "int32", "soundings": "int32", "line": "int32"})
+        tiled[1].poses.astype({"submap": "int32", "pings": "int32", "soundings": "int32", "line": "int32"})
     )
     assert artifacts.table_metadata(tmp_path / "submaps.parquet")["params"]["point_spacing_m"] == SPACING_M
     assert not list(tmp_path.glob(".tiles-*"))

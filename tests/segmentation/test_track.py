@@ -51,20 +51,20 @@ def cut(xy: np.ndarray, yaw: np.ndarray | None = None, turn_rad: float = TURN_RA
     return track.cut(xy, headings(xy) if yaw is None else yaw, LENGTH_M, GAP_M, turn_rad)
 
 
-def middles(xy: np.ndarray, found: track.Track) -> np.ndarray:
+def middles(xy: np.ndarray, lines: track.Track) -> np.ndarray:
     """Return the places (k, 2) of the stretches' middle pings."""
-    return xy[[stretch.middle for stretch in found.stretches]]
+    return xy[[stretch.middle for stretch in lines.stretches]]
 
 
 @pytest.mark.parametrize("radius_m", [10.0, 20.0, 40.0, 60.0])
 def test_a_turn_that_is_logged_is_in_no_stretch_and_its_lines_are_cut_as_if_it_were_not(radius_m: float):
     xy, without = there_and_back(radius_m, True), there_and_back(radius_m, False)
-    found, expected = cut(xy), cut(without)
-    assert len(found.stretches) == len(expected.stretches) == 8
-    assert [stretch.line for stretch in found.stretches] == [0] * 4 + [1] * 4
-    assert np.abs(middles(xy, found) - middles(without, expected)).max() < 0.07 * LENGTH_M
-    assert np.abs(np.sin([stretch.yaw for stretch in found.stretches])).max() < 0.01
-    assert found.pings_turning == pytest.approx(len(u_turn(radius_m)), rel=0.1)
+    lines, expected = cut(xy), cut(without)
+    assert len(lines.stretches) == len(expected.stretches) == 8
+    assert [stretch.line for stretch in lines.stretches] == [0] * 4 + [1] * 4
+    assert np.abs(middles(xy, lines) - middles(without, expected)).max() < 0.07 * LENGTH_M
+    assert np.abs(np.sin([stretch.yaw for stretch in lines.stretches])).max() < 0.01
+    assert lines.pings_turning == pytest.approx(len(u_turn(radius_m)), rel=0.1)
 
 
 def test_noisy_headings_and_positions_make_no_turn_of_a_line():
@@ -78,9 +78,9 @@ def test_noisy_headings_and_positions_make_no_turn_of_a_line():
 def test_noisy_headings_and_positions_hide_no_turn():
     rng = np.random.default_rng(1)
     xy = there_and_back(40.0, True)
-    found = cut(xy + rng.normal(0, 0.3, xy.shape), headings(xy) + rng.normal(0, 0.15, len(xy)))
-    assert found.lines == 2
-    assert np.abs(np.sin([stretch.yaw for stretch in found.stretches])).max() < 0.15
+    lines = cut(xy + rng.normal(0, 0.3, xy.shape), headings(xy) + rng.normal(0, 0.15, len(xy)))
+    assert lines.lines == 2
+    assert np.abs(np.sin([stretch.yaw for stretch in lines.stretches])).max() < 0.15
 
 
 def test_a_slow_vehicle_that_pings_often_turns_where_a_fast_one_does():
@@ -97,12 +97,12 @@ def test_submaps_are_cut_from_the_lines_and_the_turn_is_counted():
     ping, across = np.repeat(range(len(xy)), 25), np.tile(np.linspace(-30, 30, 25), len(xy))
     x, y = xy[ping, 0] - across * np.sin(yaw[ping]), xy[ping, 1] + across * np.cos(yaw[ping])
     soundings = pd.DataFrame({"ping": ping, "beam": 0, "x_m": x, "y_m": y, "z_m": -30.0, "quality": 0})
-    how = segmentation.Settings(0, GAP_M, TURN_RAD)
-    found = whole_survey.cut(segmentation.segment, "turning", pings, [soundings], LENGTH_M, 3.0, how)
-    assert len(found.submaps) == 8
-    assert found.dropped["pings on turns"] == pytest.approx(np.pi * 40.0 / 1.3, rel=0.1)
-    assert max(np.ptp(one.points[:, 1]) for one in found.submaps) < 70.0
-    assert found.poses["pings"].sum() + found.dropped["pings on turns"] + found.dropped["pings in them"] == len(xy)
+    settings = segmentation.Settings(0, GAP_M, TURN_RAD)
+    lines = whole_survey.cut(segmentation.segment, "turning", pings, [soundings], LENGTH_M, 3.0, settings)
+    assert len(lines.submaps) == 8
+    assert lines.dropped["pings on turns"] == pytest.approx(np.pi * 40.0 / 1.3, rel=0.1)
+    assert max(np.ptp(cloud.points[:, 1]) for cloud in lines.submaps) < 70.0
+    assert lines.poses["pings"].sum() + lines.dropped["pings on turns"] + lines.dropped["pings in them"] == len(xy)
 
 
 def test_a_bend_gentler_than_the_limit_ends_no_line():
@@ -113,10 +113,10 @@ def test_a_bend_gentler_than_the_limit_ends_no_line():
 
 
 def test_a_straight_line_is_cut_from_its_first_ping_to_its_last():
-    found = cut(straight(LINE_M, 1.0))
-    assert [stretch.first for stretch in found.stretches] == [0, 100, 200, 300]
-    assert [stretch.last for stretch in found.stretches] == [100, 200, 300, 401]
-    assert (found.pings_turning, found.gaps, found.remainders) == (0, 0, 0)
+    lines = cut(straight(LINE_M, 1.0))
+    assert [stretch.first for stretch in lines.stretches] == [0, 100, 200, 300]
+    assert [stretch.last for stretch in lines.stretches] == [100, 200, 300, 401]
+    assert (lines.pings_turning, lines.gaps, lines.remainders) == (0, 0, 0)
 
 
 def test_a_vehicle_at_anchor_makes_no_way():
@@ -130,7 +130,7 @@ def test_a_vehicle_at_anchor_makes_no_way():
 def test_a_gap_in_a_line_is_counted_and_the_way_to_the_next_line_is_not():
     line = straight(LINE_M, 1.0)
     holed = np.delete(line, slice(120, 170), axis=0)
-    found = cut(np.concatenate([holed, moved(line[::-1], 0.0, 80.0)]))
-    assert (found.gaps, found.missed_m, found.lines) == (1, 51.0, 3)
+    lines = cut(np.concatenate([holed, moved(line[::-1], 0.0, 80.0)]))
+    assert (lines.gaps, lines.missed_m, lines.lines) == (1, 51.0, 3)
     one_way = np.concatenate([line, moved(line, 0.0, 80.0)])  # sailed back without a ping
     assert cut(one_way, np.zeros(len(one_way))).gaps == 0

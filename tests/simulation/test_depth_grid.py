@@ -25,25 +25,30 @@ real = pytest.mark.skipif(not BERING.exists(), reason="no real data here")
 @pytest.mark.parametrize("write", [geotiff, bag])
 def test_a_grid_is_described_and_read_alike_in_either_format(tmp_path: Path, write):
     path = write(tmp_path / ("a.bag" if write is bag else "a.tif"))
-    told = depth_grid.describe(path)
-    assert (told.format, told.rows, told.columns) == ("BAG" if write is bag else "GeoTIFF", 60, 80)
-    assert (told.cell_m, told.crs, told.valid, told.variable) == ((2.0, 2.0), "EPSG:32632", 4800, False)
-    assert (told.depth_min_m, told.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-4)
+    held = depth_grid.describe(path)
+    assert (held.format, held.rows, held.columns) == ("BAG" if write is bag else "GeoTIFF", 60, 80)
+    assert (held.cell_m, held.crs, held.valid, held.variable) == (
+        (2.0, 2.0),
+        "EPSG:32632",
+        4800,
+        False,
+    )
+    assert (held.depth_min_m, held.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-4)
     assert depth_grid.begins(path.read_bytes()[:4096])
-    found = grid.read(path)
-    assert found.crs == "EPSG:32632"
-    assert found(np.array([1081.0]), np.array([1939.0]))[0] == pytest.approx(RAMP[30, 40], abs=1e-3)
+    terrain = grid.read(path)
+    assert terrain.crs == "EPSG:32632"
+    assert terrain(np.array([1081.0]), np.array([1939.0]))[0] == pytest.approx(RAMP[30, 40], abs=1e-3)
 
 
 def test_a_description_does_not_depend_on_its_stripes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     z = RAMP.copy()
     z[10:30, :50] = -9999
     path = geotiff(tmp_path / "a.tif", -z * (z > -9999) - 9999 * (z == -9999), tiled=True, blockxsize=16, blockysize=16)
-    whole = depth_grid.describe(path)
+    held = depth_grid.describe(path)
     monkeypatch.setattr(depth_grid, "_STRIPE", 100)
-    assert depth_grid.describe(path) == whole
-    assert whole.valid == 3800
-    assert (whole.depth_min_m, whole.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-4)  # positive depths
+    assert depth_grid.describe(path) == held
+    assert held.valid == 3800
+    assert (held.depth_min_m, held.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-4)  # positive depths
 
 
 LAND = np.where(RAMP > -54, RAMP + 90, RAMP)  # mostly 36 to 40 m high, and a sea of 54 to 57 m
@@ -73,8 +78,11 @@ def test_whether_numbers_are_depths_is_one_answer_for_all_that_read_a_grid(
     seabed = grid.read(path)
     assert (held.crs, seabed.crs) == ("EPSG:32632", "EPSG:32632")
     assert seabed(np.array([1081.0]), np.array([1891.0]))[0] == pytest.approx(-depth[54, 40], abs=1e-3)
-    found = grids.inspect(path)
-    assert (found.facts.vertical, found.drawing.cells.depth_m[5, 40]) == (held.vertical, pytest.approx(depth[54, 40]))
+    terrain = grids.inspect(path)
+    assert (terrain.facts.vertical, terrain.drawing.cells.depth_m[5, 40]) == (
+        held.vertical,
+        pytest.approx(depth[54, 40]),
+    )
 
 
 def test_a_bag_has_heights_also_of_a_lake(tmp_path: Path):
@@ -89,8 +97,8 @@ def test_stored_scales_and_offsets_are_applied(tmp_path: Path):
     path = geotiff(tmp_path / "a.tif", np.round((RAMP + 50) * 100), dtype="int16")
     with rasterio.open(path, "r+") as dataset:
         dataset.scales, dataset.offsets = [0.01], [-50.0]
-    told = depth_grid.describe(path)
-    assert (told.depth_min_m, told.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-6)
+    held = depth_grid.describe(path)
+    assert (held.depth_min_m, held.depth_max_m) == pytest.approx((50.0, 56.69), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -141,32 +149,42 @@ def test_of_a_huge_grid_no_more_than_the_part_about_the_centre_is_read(tmp_path:
     with pytest.raises(GridError, match="200000 x 200000 cells, more than"):
         grid.read(path)
     x, y = 180_081.0, 159_939.0
-    found = grid.read(path, centre=(x, y))
-    assert found.valid.size <= 1 << 24
-    assert found.valid.sum() == 4800
-    assert found(np.array([x]), np.array([y]))[0] == pytest.approx(RAMP[30, 40], abs=1e-3)
+    terrain = grid.read(path, centre=(x, y))
+    assert terrain.valid.size <= 1 << 24
+    assert terrain.valid.sum() == 4800
+    assert terrain(np.array([x]), np.array([y]))[0] == pytest.approx(RAMP[30, 40], abs=1e-3)
     with pytest.raises(GridError, match="lies outside it"):
         grid.read(path, centre=(-5.0, 100.0))
 
 
 @real
 def test_the_real_grids_are_described():
-    told = depth_grid.describe(BERING)
-    assert (told.format, told.rows, told.columns, told.crs) == ("BAG", 1478, 1707, "EPSG:32602")
-    assert told.valid * 4 / 1e6 == pytest.approx(4.63, abs=0.01)  # km2
-    assert told.depth_max_m - told.depth_min_m == pytest.approx(2.0, abs=0.1)
-    told = depth_grid.describe(SCITUATE)
-    assert (told.format, told.rows, told.columns, told.crs) == ("GeoTIFF", 661, 1125, "EPSG:32619")
-    assert (told.depth_min_m, told.depth_max_m) == pytest.approx((6.4, 29.9), abs=0.06)
+    held = depth_grid.describe(BERING)
+    assert (held.format, held.rows, held.columns, held.crs) == (
+        "BAG",
+        1478,
+        1707,
+        "EPSG:32602",
+    )
+    assert held.valid * 4 / 1e6 == pytest.approx(4.63, abs=0.01)  # km2
+    assert held.depth_max_m - held.depth_min_m == pytest.approx(2.0, abs=0.1)
+    held = depth_grid.describe(SCITUATE)
+    assert (held.format, held.rows, held.columns, held.crs) == (
+        "GeoTIFF",
+        661,
+        1125,
+        "EPSG:32619",
+    )
+    assert (held.depth_min_m, held.depth_max_m) == pytest.approx((6.4, 29.9), abs=0.06)
 
 
 @real
 def test_a_survey_over_the_real_bag_has_its_depths():
     layout = dataclasses.replace(short_line().layout, lines=2, line_length_m=300.0, azimuth_deg=20.0)
-    how = short_line(grid=str(BERING), centre_m=[], altitude_m=20.0, layout=layout)
-    found = simulation.ground(how)
-    placed = georeferenced(sail(how, quiet_vehicle(), found)[0])
-    assert placed[:, 2] == pytest.approx(found(placed[:, 0], placed[:, 1]), abs=0.1)
+    settings = short_line(grid=str(BERING), centre_m=[], altitude_m=20.0, layout=layout)
+    terrain = simulation.ground(settings)
+    placed = georeferenced(sail(settings, quiet_vehicle(), terrain)[0])
+    assert placed[:, 2] == pytest.approx(terrain(placed[:, 0], placed[:, 1]), abs=0.1)
     assert -53.0 < placed[:, 2].min() < placed[:, 2].max() < -50.9
 
 
@@ -179,9 +197,9 @@ def test_mutated_grids_end_in_a_sentence_or_in_depths_of_a_sea(tmp_path: Path, w
     for _ in range(60):
         path.write_bytes(corrupted(content, rng))
         try:
-            told = depth_grid.describe(path)
+            held = depth_grid.describe(path)
         except GridError as error:
             sentence = str(error)
             assert "\n" not in sentence
         else:
-            assert not told.valid or told.depth_max_m <= 12_000
+            assert not held.valid or held.depth_max_m <= 12_000

@@ -58,9 +58,9 @@ def test_another_seed_gives_another_seabed():
 @trials(deadline=None, max_examples=20)
 @given(st.floats(-5e4, 5e4), st.floats(-5e4, 5e4), st.integers(0, 40))
 def test_terrain_at_a_point_does_not_depend_on_what_else_is_asked(x: float, y: float, others: int):
-    terrain, more = short_line().terrain, np.linspace(-3e4, 3e4, others)
+    terrain, along = short_line().terrain, np.linspace(-3e4, 3e4, others)
     alone = seabed.heights(terrain, 3, np.array([x]), np.array([y]))
-    among = seabed.heights(terrain, 3, np.append(more, x), np.append(more[::-1], y))
+    among = seabed.heights(terrain, 3, np.append(along, x), np.append(along[::-1], y))
     assert among[-1] == alone[0]
 
 
@@ -101,9 +101,9 @@ def test_port_is_left_of_the_course_and_starboard_right(azimuth_deg: float):
     placed = georeferenced(raw)
     assert placed[:, 2] == pytest.approx(plane(placed[:, 0], placed[:, 1]), abs=0.05)
     course = np.deg2rad(azimuth_deg)
-    left = np.cos(course) * placed[:, 1] - np.sin(course) * placed[:, 0]
-    assert np.all(left[raw["across_m"] < -1] > 0)
-    assert np.all(left[raw["across_m"] > 1] < 0)
+    to_port = np.cos(course) * placed[:, 1] - np.sin(course) * placed[:, 0]
+    assert np.all(to_port[raw["across_m"] < -1] > 0)
+    assert np.all(to_port[raw["across_m"] > 1] < 0)
     assert np.all(np.diff(raw["across_m"][raw["time_s"] == raw["time_s"][0]]) > 0)  # beam 0 is to port
 
 
@@ -150,8 +150,8 @@ def test_a_beam_ends_on_the_seabed_however_steep():
 
 
 def test_navigation_starts_at_the_truth_and_drifts():
-    how = parameters.read(PARAMS, "simulate.thwaites_11", simulation.Settings)
-    lines = vehicle.lines(how.layout, np.random.default_rng(0))
+    settings = parameters.read(PARAMS, "simulate.thwaites_11", simulation.Settings)
+    lines = vehicle.lines(settings.layout, np.random.default_rng(0))
     track = vehicle.sail(lines, 0.0, 3.0, 60.0, hugin(), Plane(100.0), np.random.default_rng(1))
     x, y, _ = vehicle.dead_reckoned(track, hugin().navigation, np.random.default_rng(2))
     error = np.hypot(x - track.x, y - track.y)
@@ -201,10 +201,10 @@ def plane_grid(path: Path, rows: int = 200, columns: int = 300) -> Path:
 
 
 def test_a_grid_gives_back_the_plane_that_was_written(tmp_path: Path):
-    found = grid.read(plane_grid(tmp_path / "plane.tif"))
+    terrain = grid.read(plane_grid(tmp_path / "plane.tif"))
     x, y = np.random.default_rng(0).uniform([1010, 2010], [1590, 2390], (500, 2)).T
-    assert found(x, y) == pytest.approx(-70 + 0.1 * (x - 1000) - 0.05 * (y - 2000), abs=0.01)
-    assert found.crs == "EPSG:32632"
+    assert terrain(x, y) == pytest.approx(-70 + 0.1 * (x - 1000) - 0.05 * (y - 2000), abs=0.01)
+    assert terrain.crs == "EPSG:32632"
 
 
 def test_roughness_below_the_cell_has_the_stated_amplitude(tmp_path: Path):
@@ -217,21 +217,23 @@ def test_a_survey_over_a_grid_lies_in_its_valid_area(tmp_path: Path):
     z = np.full((200, 300), -60.0)
     z[:, :120] = -9999.0  # the western part is unknown
     path = geotiff(tmp_path / "half.tif", z)
-    how = short_line(grid=str(path), centre_m=[], layout=dataclasses.replace(short_line().layout, azimuth_deg=30.0))
-    raw, _ = sail(how, quiet_vehicle(), simulation.ground(how))
+    settings = short_line(
+        grid=str(path), centre_m=[], layout=dataclasses.replace(short_line().layout, azimuth_deg=30.0)
+    )
+    raw, _ = sail(settings, quiet_vehicle(), simulation.ground(settings))
     placed = georeferenced(raw)
     assert placed[:, 0].min() > 1000 + 240
-    assert len(raw) == len(sail(how, quiet_vehicle(), Plane(60.0))[0])  # no beam fell off the edge
+    assert len(raw) == len(sail(settings, quiet_vehicle(), Plane(60.0))[0])  # no beam fell off the edge
 
 
 def test_a_survey_that_does_not_fit_is_refused_in_one_sentence(tmp_path: Path):
-    how = short_line(
+    settings = short_line(
         grid=str(plane_grid(tmp_path / "plane.tif")),
         centre_m=[],
         layout=dataclasses.replace(short_line().layout, line_length_m=2000.0),
     )
     with pytest.raises(grid.GridError, match="has no room for a survey of"):
-        sail(how, quiet_vehicle(), simulation.ground(how))
+        sail(settings, quiet_vehicle(), simulation.ground(settings))
 
 
 @pytest.mark.parametrize("content", [b"this is not a grid", b"II*\0" + bytes(200), bytes(10)])
@@ -255,11 +257,11 @@ def test_a_grid_that_is_not_there_is_named():
 @pytest.mark.skipif(not SCITUATE.exists(), reason="real data are not here")
 def test_a_survey_over_a_real_grid_has_its_depths():
     layout = dataclasses.replace(short_line().layout, lines=2, line_length_m=200.0, azimuth_deg=20.0)
-    how = short_line(grid=str(SCITUATE), centre_m=[], altitude_m=5.0, layout=layout)
-    found = simulation.ground(how)
-    assert found.crs == "EPSG:32619"
-    placed = georeferenced(sail(how, quiet_vehicle(), found)[0])
-    assert placed[:, 2] == pytest.approx(found(placed[:, 0], placed[:, 1]), abs=0.1)
+    settings = short_line(grid=str(SCITUATE), centre_m=[], altitude_m=5.0, layout=layout)
+    terrain = simulation.ground(settings)
+    assert terrain.crs == "EPSG:32619"
+    placed = georeferenced(sail(settings, quiet_vehicle(), terrain)[0])
+    assert placed[:, 2] == pytest.approx(terrain(placed[:, 0], placed[:, 1]), abs=0.1)
     assert placed[:, 2].min() > -30
     assert placed[:, 2].max() < -6
 
@@ -272,8 +274,8 @@ def test_a_sunken_grid_lies_so_much_deeper_and_is_else_the_same(tmp_path: Path):
 
 def test_a_survey_over_a_grid_may_say_where_its_middle_is(tmp_path: Path):
     path = str(plane_grid(tmp_path / "plane.tif"))
-    found = simulation.ground(short_line(grid=path, centre_m=[1250.0, 2200.0]))
-    assert found.place(200.0, 100.0, 0.3) == (1250.0, 2200.0)
+    terrain = simulation.ground(short_line(grid=path, centre_m=[1250.0, 2200.0]))
+    assert terrain.place(200.0, 100.0, 0.3) == (1250.0, 2200.0)
     with pytest.raises(
         grid.GridError, match="has no depth under a part of a survey of 200 m by 100 m about 1050, 2200"
     ):

@@ -12,34 +12,34 @@ from pointnetkl.workflow import artifacts
 
 def make(number: int, sizes: tuple[int, int, int] = (30, 14, 16)) -> Submap:
     rng = np.random.default_rng(number)
-    whole, first, second = (rng.normal(0, 50, (size, 3)) for size in sizes)
-    return Submap("small", number, whole, first, second)
+    points, first, second = (rng.normal(0, 50, (size, 3)) for size in sizes)
+    return Submap("small", number, points, first, second)
 
 
 def test_submaps_come_back_from_the_file_by_number_to_single_precision(tmp_path: Path):
-    made = [make(3), make(0), make(12)]
-    artifacts.write_table(tmp_path / "s.parquet", submap.to_table(made), submap.POINTS, {})
-    found = submap.from_table("small", artifacts.read_table(tmp_path / "s.parquet", submap.POINTS))
-    assert [one.number for one in found] == [0, 3, 12]
-    for one, other in zip(found, sorted(made, key=lambda s: s.number), strict=True):
+    submaps = [make(3), make(0), make(12)]
+    artifacts.write_table(tmp_path / "s.parquet", submap.to_table(submaps), submap.POINTS, {})
+    stored = submap.from_table("small", artifacts.read_table(tmp_path / "s.parquet", submap.POINTS))
+    assert [cloud.number for cloud in stored] == [0, 3, 12]
+    for cloud, other in zip(stored, sorted(submaps, key=lambda s: s.number), strict=True):
         for name in ("points", "first", "second"):
-            assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6, abs=1e-6)
-            assert getattr(one, name).dtype == np.float64
+            assert getattr(cloud, name) == pytest.approx(getattr(other, name), rel=1e-6, abs=1e-6)
+            assert getattr(cloud, name).dtype == np.float64
 
 
 def test_a_submap_without_halves_has_empty_ones():
-    found = submap.from_table("small", submap.to_table([make(1, (5, 0, 0))]))
-    assert found[0].points.shape == (5, 3)
-    assert found[0].first.shape == found[0].second.shape == (0, 3)
+    stored = submap.from_table("small", submap.to_table([make(1, (5, 0, 0))]))
+    assert stored[0].points.shape == (5, 3)
+    assert stored[0].first.shape == stored[0].second.shape == (0, 3)
 
 
 def test_no_submaps_make_an_empty_table():
     assert submap.from_table("small", submap.to_table([])) == []
 
 
-def same(one: Submap, other: Submap) -> bool:
-    return one.number == other.number and all(
-        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("points", "first", "second")
+def same(cloud: Submap, other: Submap) -> bool:
+    return cloud.number == other.number and all(
+        np.array_equal(getattr(cloud, name), getattr(other, name)) for name in ("points", "first", "second")
     )
 
 
@@ -48,10 +48,10 @@ def test_submaps_read_one_by_one_are_those_of_the_whole_table(tmp_path: Path, si
     # larger and smaller than a row group of the file, and just as large
     path = tmp_path / "s.parquet"
     artifacts.write_table(path, submap.to_table(make(n, sizes) for n in (0, 3, 4, 12)), submap.POINTS, {})
-    whole = submap.from_table("small", artifacts.read_table(path, submap.POINTS))
-    assert all(map(same, submap.stream("small", path), whole))
-    assert [one.number for one in submap.stream("small", path)] == [0, 3, 4, 12]
-    assert all(same(submap.read("small", path, one.number), one) for one in whole)
+    stored = submap.from_table("small", artifacts.read_table(path, submap.POINTS))
+    assert all(map(same, submap.stream("small", path), stored))
+    assert [cloud.number for cloud in submap.stream("small", path)] == [0, 3, 4, 12]
+    assert all(same(submap.read("small", path, cloud.number), cloud) for cloud in stored)
 
 
 def test_a_file_without_submaps_has_none(tmp_path: Path):

@@ -59,12 +59,12 @@ def test_the_same_cloud_gives_the_same_bytes(points: np.ndarray):
 
 
 def test_clouds_come_back_from_the_file_as_they_were(tmp_path: Path, points: np.ndarray):
-    each = [voxel.canonical(points[start:], VOXEL) for start in (0, 1000, 2000)]
-    artifacts.write_arrays(tmp_path / "c.npz", Clouds.join([0, 1, 4], each).to_arrays(), {"survey": "small"})
+    canonical = [voxel.canonical(points[start:], VOXEL) for start in (0, 1000, 2000)]
+    artifacts.write_arrays(tmp_path / "c.npz", Clouds.join([0, 1, 4], canonical).to_arrays(), {"survey": "small"})
     clouds = Clouds.from_arrays(artifacts.read_arrays(tmp_path / "c.npz")[0])
     assert len(clouds) == 3
     assert clouds.submap.tolist() == [0, 1, 4]
-    for i, cloud in enumerate(each):
+    for i, cloud in enumerate(canonical):
         assert np.array_equal(clouds.cloud(i).points, cloud.points)
         assert clouds.cloud(i).radius == cloud.radius
 
@@ -107,11 +107,11 @@ def test_a_voxel_that_is_no_share_of_the_sphere_is_refused(share: float):
 
 
 def test_the_stage_makes_a_cloud_of_every_submap(tmp_path: Path):
-    one = sail(lines=1)
-    found = whole_survey.cut(
-        segmentation.segment, "small", one.pings, [one.soundings], 100.0, 4.0, segmentation.Settings(0, 30.0)
+    survey = sail(lines=1)
+    segments = whole_survey.cut(
+        segmentation.segment, "small", survey.pings, [survey.soundings], 100.0, 4.0, segmentation.Settings(0, 30.0)
     )
-    artifacts.write_table(tmp_path / "s.parquet", submap.to_table(found.submaps), submap.POINTS, {})
+    artifacts.write_table(tmp_path / "s.parquet", submap.to_table(segments.submaps), submap.POINTS, {})
     (tmp_path / "params.yaml").write_text("voxelise: {voxel: 0.01}\n")
     script = [sys.executable, ROOT / "pipeline/voxelise.py", "small", "--submaps", "s.parquet", "--clouds", "c.npz"]
     done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -30,9 +30,9 @@ def write(folder: Path) -> list[Path]:
 
 def test_what_is_written_is_read(tmp_path: Path):
     table, arrays, content = write(tmp_path / "new/folder")
-    found = artifacts.read_table(table, SCHEMA)
-    pd.testing.assert_frame_equal(found, FRAME.astype({"submap": np.int32, "x_m": np.float32}), check_dtype=False)
-    assert found["submap"].dtype == np.int32
+    stored = artifacts.read_table(table, SCHEMA)
+    pd.testing.assert_frame_equal(stored, FRAME.astype({"submap": np.int32, "x_m": np.float32}), check_dtype=False)
+    assert stored["submap"].dtype == np.int32
     assert artifacts.table_metadata(table) == {"seed": 1, "a": "x"}
     stored, metadata = artifacts.read_arrays(arrays)
     assert metadata == {"seed": 2}
@@ -62,13 +62,13 @@ def test_a_table_read_piece_by_piece_is_the_whole_table(tmp_path: Path):
     artifacts.write_table(tmp_path / "t.parquet", long, SCHEMA, {})
     pieces = list(artifacts.read_groups(tmp_path / "t.parquet", SCHEMA))
     assert len(pieces) > 1
-    whole = artifacts.read_table(tmp_path / "t.parquet", SCHEMA)
-    pd.testing.assert_frame_equal(pd.concat(pieces, ignore_index=True), whole)
+    table = artifacts.read_table(tmp_path / "t.parquet", SCHEMA)
+    pd.testing.assert_frame_equal(pd.concat(pieces, ignore_index=True), table)
 
 
 def test_the_same_content_gives_the_same_bytes(tmp_path: Path):
-    for one, other in zip(write(tmp_path / "one"), write(tmp_path / "other"), strict=True):
-        assert one.read_bytes() == other.read_bytes()
+    for first, other in zip(write(tmp_path / "one"), write(tmp_path / "other"), strict=True):
+        assert first.read_bytes() == other.read_bytes()
 
 
 def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -122,9 +122,9 @@ def test_a_missing_artifact_says_what_to_run(tmp_path: Path):
 def test_half_a_file_is_refused(tmp_path: Path):
     table, arrays, content = write(tmp_path)
     for path in (table, arrays, content):
-        whole = path.read_bytes()
-        for size in (0, 3, len(whole) // 2, len(whole) - 5):
-            path.write_bytes(whole[:size])
+        raw = path.read_bytes()
+        for size in (0, 3, len(raw) // 2, len(raw) - 5):
+            path.write_bytes(raw[:size])
             with pytest.raises(ArtifactError):
                 {table: artifacts.table_metadata, arrays: artifacts.read_arrays, content: artifacts.read_json}[path](
                     path
@@ -147,12 +147,12 @@ def test_a_flipped_bit_in_the_data_is_found_or_harmless(tmp_path: Path):
         (table, data, lambda: list(artifacts.read_groups(table, SCHEMA))),
         (arrays, arrays.stat().st_size, lambda: artifacts.read_arrays(arrays)),
     ):
-        whole, expected = path.read_bytes(), outcome(reading)
+        raw, expected = path.read_bytes(), outcome(reading)
         for place in np.random.default_rng(0).integers(4, size, 60):
-            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
-            found = outcome(reading)
-            assert found == expected or (found.startswith("refused: ") and "\n" not in found)
-        path.write_bytes(whole)
+            path.write_bytes(raw[:place] + bytes([raw[place] ^ 0x10]) + raw[place + 1 :])
+            result = outcome(reading)
+            assert result == expected or (result.startswith("refused: ") and "\n" not in result)
+        path.write_bytes(raw)
 
 
 def test_the_columns_of_another_stage_are_refused(tmp_path: Path):
@@ -202,13 +202,13 @@ def rows(count: int) -> pd.DataFrame:
 
 
 def test_a_table_written_in_parts_is_the_same_whatever_the_parts(tmp_path: Path):
-    whole = rows(200_000)
+    table = rows(200_000)
     for size in (1000, 65_536, 200_000):
         with TableWriter(tmp_path / f"{size}.parquet", ROWS) as writer:
-            for begin in range(0, len(whole), size):
-                writer.write(whole[begin : begin + size])
+            for begin in range(0, len(table), size):
+                writer.write(table[begin : begin + size])
             writer.metadata = {"known": "last"}
-    assert artifacts.read_table(tmp_path / "1000.parquet", ROWS).equals(whole)
+    assert artifacts.read_table(tmp_path / "1000.parquet", ROWS).equals(table)
     assert artifacts.table_metadata(tmp_path / "1000.parquet") == {"known": "last"}
     contents = {path.read_bytes() for path in tmp_path.iterdir()}
     assert len(contents) == 1

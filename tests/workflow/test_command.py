@@ -15,8 +15,8 @@ from pointnetkl.workflow.parameters import SettingsError
 def run(monkeypatch: pytest.MonkeyPatch, error: Exception | None, *arguments: str) -> list[argparse.Namespace]:
     seen = []
 
-    def main(given: argparse.Namespace) -> None:
-        seen.append(given)
+    def main(arguments: argparse.Namespace) -> None:
+        seen.append(arguments)
         if error:
             raise error
 

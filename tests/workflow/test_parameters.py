@@ -50,9 +50,9 @@ def complaint(folder: Path, content: object, section: str = "s", kind: type = Ou
 
 
 def test_a_section_becomes_the_dataclass_with_its_defaults(tmp_path: Path):
-    found = read(tmp_path, GOOD)
-    assert found == Outer("a", True, [1, 2], {"x": Inner(1, 2.0)}, None, [])
-    assert isinstance(found.inner["x"].rate, float)
+    settings = read(tmp_path, GOOD)
+    assert settings == Outer("a", True, [1, 2], {"x": Inner(1, 2.0)}, None, [])
+    assert isinstance(settings.inner["x"].rate, float)
 
 
 def test_a_dotted_name_reaches_inside(tmp_path: Path):
@@ -144,10 +144,10 @@ def test_a_value_that_a_stage_cannot_use_is_refused_by_name(tmp_path: Path, kind
 
 def test_the_study_of_the_project_holds_every_survey_once():
     path = Path(__file__).parents[2] / "params.yaml"
-    whole = study.read(path)
-    assert not set(whole.train) & set(whole.test)
-    assert whole.surveys == whole.train | whole.test
-    assert all(study.survey(path, name) == line for name, line in whole.surveys.items())
+    complete = study.read(path)
+    assert not set(complete.train) & set(complete.test)
+    assert complete.surveys == complete.train | complete.test
+    assert all(study.survey(path, name) == line for name, line in complete.surveys.items())
 
 
 @pytest.mark.parametrize("models", [[], ["network"], ["pointnetkl"], ["pointnetkl", "network", "network"]])
