@@ -33,9 +33,9 @@ def training() -> fitting.Training:
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_no_information_leaves_the_prior_and_much_leaves_nothing(dimensions):
     prior = PRIORS[dimensions]
-    for share, left in ((1e9, 1.0), (1e-9, 0.0)):
+    for share, kept in ((1e9, 1.0), (1e-9, 0.0)):
         q = calibrated.combine(share * prior[None], prior, 3.0, 2.0)[0]
-        np.testing.assert_allclose(q, left * prior, atol=1e-6)
+        np.testing.assert_allclose(q, kept * prior, atol=1e-6)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])

@@ -118,8 +118,8 @@ def test_few_submaps_to_judge_on_leave_the_memory_whole(training):
 
 
 def test_one_submap_alone_is_judged_by_itself(training):
-    one = fitting.Training(training.submaps[:1], training.labels[:1], SETUP)
-    q = cello.from_fit("cello", cello.fit(one, BLOCKS), SETUP).covariance(training.submaps[0])
+    alone = fitting.Training(training.submaps[:1], training.labels[:1], SETUP)
+    q = cello.from_fit("cello", cello.fit(alone, BLOCKS), SETUP).covariance(training.submaps[0])
     assert np.trace(q) == pytest.approx(np.trace(training.labels[0]), rel=1e-4)
 
 

@@ -15,15 +15,15 @@ DRAWS = 6000  # 1.8 % on a variance
 def pair(dof: str, kind: str = "rugged") -> tuple[gicp.Linearised, np.ndarray, np.ndarray]:
     """Return a registration at its solution, and both clouds' points (m, 3), (n, 3) as they lie there.
 
-    Their origin is the target's centre, and the translation that was found is taken from the target.
+    Their origin is the target's centre, and the translation of the registration is taken from the target.
     """
     settings = dataclasses.replace(BOTH[dof].registration, tolerance_m=1e-6)
     target, source = (gicp.prepare(submap(kind, number, 300).points, settings) for number in (0, 1))
-    found = gicp.register(source, target, settings)
+    registered = gicp.register(source, target, settings)
     normals = source.normals.astype(float)
-    solution = gicp.linearise(source.points, normals, target, found.T_target_source, settings)
+    solution = gicp.linearise(source.points, normals, target, registered.T_target_source, settings)
     assert len(np.unique(solution.matches)) < len(solution.matches) == len(source.points)
-    fixed = target.points - target.centre - [*found.T_target_source.translation, 0]
+    fixed = target.points - target.centre - [*registered.T_target_source.translation, 0]
     return solution, fixed[solution.matches] - solution.residuals, fixed
 
 
@@ -49,12 +49,12 @@ def solved(solution: gicp.Linearised, points: np.ndarray, matched: np.ndarray, d
 def test_the_sandwich_is_what_noise_does_at_fixed_matches(dof, target_sigma_m):
     solution, points, target = pair(dof)
     dimensions, rng = BOTH[dof].registration.dimensions, np.random.default_rng(1)
-    found = np.empty((DRAWS, dimensions))
-    for draw in found:
+    solutions = np.empty((DRAWS, dimensions))
+    for draw in solutions:
         noisy = points + 0.05 * rng.normal(size=points.shape)
         shaken = target + target_sigma_m * rng.normal(size=target.shape)
         draw[:] = solved(solution, noisy, shaken[solution.matches], dimensions)
-    expected = np.cov(found.T)
+    expected = np.cov(solutions.T)
     q = censi.sandwich(solution, 0.05, target_sigma_m)
     root = np.linalg.inv(np.linalg.cholesky(expected))
     np.testing.assert_allclose(np.linalg.eigvalsh(root @ q @ root.T), 1, atol=0.05)

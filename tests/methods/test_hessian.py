@@ -25,17 +25,17 @@ def test_it_is_the_covariance_of_least_squares_where_weights_are_right_up_to_a_s
     rng = np.random.default_rng(1)
     problem = linear(dimensions, rng)
     H, gains = problem.information, problem.gains
-    scale, found, stated = 2.5, [], []
+    scale, errors, stated = 2.5, [], []
     # residuals along each normal with the variance that its weight says, times the scale
     norms = np.sqrt(np.einsum("nii->n", problem.weights))
     normals = np.linalg.eigh(problem.weights)[1][:, :, 2]
     for _ in range(6000):
         noise = (np.sqrt(scale) * rng.normal(size=len(norms)) / norms)[:, None] * normals
         motion = np.linalg.solve(H, np.einsum("nij,nj->i", gains, noise))
-        found.append(motion)
+        errors.append(motion)
         stated.append(hessian.covariance_at(dataclasses.replace(problem, residuals=noise - problem.jacobian @ motion)))
     root = np.linalg.inv(np.linalg.cholesky(np.mean(stated, axis=0)))
-    np.testing.assert_allclose(np.linalg.eigvalsh(root @ np.cov(np.transpose(found)) @ root.T), 1, atol=0.05)
+    np.testing.assert_allclose(np.linalg.eigvalsh(root @ np.cov(np.transpose(errors)) @ root.T), 1, atol=0.05)
 
 
 @pytest.mark.parametrize("dof", ["xy", "xyyaw"])
@@ -67,5 +67,5 @@ def test_with_split_copies_it_looks_at_two_passes_over_the_ground():
         BOTH["xy"], label=dataclasses.replace(BOTH["xy"].label, copy="split", noise_sigma_m=1e-6)
     )
     same = dataclasses.replace(setup, label=dataclasses.replace(setup.label, copy="same"))
-    split, one = (np.trace(hessian.Hessian(each).covariance(submap("rugged"))) for each in (setup, same))
-    assert split > 1e3 * one  # the very points fit without a misfit
+    split, same_copy = (np.trace(hessian.Hessian(setup).covariance(submap("rugged"))) for setup in (setup, same))
+    assert split > 1e3 * same_copy  # the very points fit without a misfit

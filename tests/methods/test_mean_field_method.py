@@ -21,15 +21,15 @@ WITH_YAW = MeanField(LABEL, toy_submaps.WITH_YAW)
 
 def test_it_is_the_descriptions_covariance():
     submap = toy_submaps.submap("mild")
-    given = mean_field.conditions(LABEL, toy_submaps.REGISTRATION)
-    np.testing.assert_array_equal(ALONE.covariance(submap), mean_field.describe(submap.points, given).covariance)
+    conditions = mean_field.conditions(LABEL, toy_submaps.REGISTRATION)
+    np.testing.assert_array_equal(ALONE.covariance(submap), mean_field.describe(submap.points, conditions).covariance)
 
 
 @pytest.mark.parametrize("kind", ["flat", "gentle", "mild", "rugged"])
 def test_with_yaw_it_is_near_what_monte_carlo_finds(kind: str):
     submap, rng = toy_submaps.submap(kind), np.random.default_rng(1)
     label = monte_carlo.covariance(monte_carlo.errors(submap, 200, rng, LABEL, toy_submaps.WITH_YAW).errors)
-    p, q = (gaussian.with_floor(each, 0.01) for each in (label, WITH_YAW.covariance(submap)))
+    p, q = (gaussian.with_floor(matrix, 0.01) for matrix in (label, WITH_YAW.covariance(submap)))
     # flat ground: the pull of nearest points finds more of the yaw than is said
     assert gaussian.kl_divergence(p, q) < (1.0 if kind == "flat" else 0.1)
 
@@ -41,9 +41,9 @@ def test_yaw_stands_apart_from_the_same_x_and_y():
     np.testing.assert_array_equal(q[2, :2], 0)
 
 
-@pytest.mark.parametrize("each", [ALONE, WITH_YAW])
-def test_it_turns_with_the_submap(each: MeanField):
-    toy_submaps.assert_turns(each, "gentle", 0.7, share=0.1)
+@pytest.mark.parametrize("method", [ALONE, WITH_YAW])
+def test_it_turns_with_the_submap(method: MeanField):
+    toy_submaps.assert_turns(method, "gentle", 0.7, share=0.1)
 
 
 def test_its_table_has_a_row_a_submap():

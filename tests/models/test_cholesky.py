@@ -39,8 +39,8 @@ def test_l_and_d_are_the_cholesky_composition_of_the_paper(m: int):
 def test_divergence_from_l_and_d_is_that_of_the_matrices_with_the_floor_on_both(m: int, floor_m2: float):
     label, answer = cholesky.covariance(numbers(100, m), m), cholesky.covariance(numbers(100, m, seed=1), m)
     expected = gaussian.kl_divergence(*(gaussian.with_floor(q.numpy(), floor_m2) for q in (label, answer)))
-    found = cholesky.kl_divergence(label, numbers(100, m, seed=1), floor(m, floor_m2))
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    divergence = cholesky.kl_divergence(label, numbers(100, m, seed=1), floor(m, floor_m2))
+    np.testing.assert_allclose(divergence, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("m", [2, 3])
@@ -55,11 +55,11 @@ def test_float32_is_enough_for_a_covariance_far_flatter_than_the_floor():
     label = torch.tensor([[[1.0, 0.3], [0.3, 2.0]]]).expand(4, 2, 2)
     answer = torch.tensor([[0.5, -30.0, -25.0], [0.0, -60.0, -60.0], [3.0, 2.0, -40.0], [-50.0, 2.0, -3.0]])
     exact = cholesky.kl_divergence(label.double(), answer.double(), floor(2, 0.01))
-    given = answer.clone().requires_grad_()
-    found = cholesky.kl_divergence(label, given, floor(2, 0.01).float())
-    np.testing.assert_allclose(found.detach(), exact, rtol=1e-4)
-    found.sum().backward()
-    assert torch.isfinite(given.grad).all()
+    numbers_ = answer.clone().requires_grad_()
+    divergence = cholesky.kl_divergence(label, numbers_, floor(2, 0.01).float())
+    np.testing.assert_allclose(divergence.detach(), exact, rtol=1e-4)
+    divergence.sum().backward()
+    assert torch.isfinite(numbers_.grad).all()
 
 
 @pytest.mark.parametrize("m", [2, 3])

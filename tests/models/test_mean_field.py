@@ -19,13 +19,13 @@ from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys.submap import Submap
 
 LABEL = dataclasses.replace(toy_submaps.LABEL, noise_sigma_m=0.2)
-GIVEN = mean_field.conditions(LABEL, toy_submaps.REGISTRATION)
+CONDITIONS = mean_field.conditions(LABEL, toy_submaps.REGISTRATION)
 PRIOR_M2 = LABEL.prior_variance_m2
 SEABED = terrains.cloud("mild", 2000, size_m=150.0)
 
 
-def covariance(points: np.ndarray, given: Conditions = GIVEN) -> np.ndarray:
-    return mean_field.describe(points, given).covariance
+def covariance(points: np.ndarray, conditions: Conditions = CONDITIONS) -> np.ndarray:
+    return mean_field.describe(points, conditions).covariance
 
 
 def kl(p: np.ndarray, q: np.ndarray) -> float:
@@ -50,15 +50,15 @@ def test_it_is_what_monte_carlo_finds_of_yaw_too():
     for kind in ("gentle", "mild", "rugged"):
         submap = toy_submaps.submap(kind)
         errors = monte_carlo.errors(submap, 200, np.random.default_rng(1), LABEL, toy_submaps.WITH_YAW).errors
-        yaw = mean_field.describe(submap.points, GIVEN).yaw_variance(GIVEN)
+        yaw = mean_field.describe(submap.points, CONDITIONS).yaw_variance(CONDITIONS)
         assert 0.5 < yaw / monte_carlo.covariance(errors)[2, 2] < 2
 
 
 def test_flat_ground_keeps_much_of_the_prior_in_every_direction():
-    described = mean_field.describe(terrains.cloud("flat", 900), GIVEN)
+    described = mean_field.describe(terrains.cloud("flat", 900), CONDITIONS)
     assert (np.linalg.eigvalsh(described.covariance) > 0.3 * PRIOR_M2).all()
     assert (np.linalg.eigvalsh(described.covariance) < PRIOR_M2).all()
-    assert described.yaw_variance(GIVEN) > 0.3 * GIVEN.prior_yaw_sigma_rad**2
+    assert described.yaw_variance(CONDITIONS) > 0.3 * CONDITIONS.prior_yaw_sigma_rad**2
 
 
 def test_points_too_far_apart_to_be_mistaken_for_each_other_find_themselves_on_flat_ground():
@@ -91,24 +91,24 @@ def test_the_order_of_points_changes_nothing():
 
 
 def test_a_copy_without_noise_finds_its_place_on_rough_ground():
-    described = mean_field.describe(SEABED, dataclasses.replace(GIVEN, noise_sigma_m=0.0))
-    assert np.abs(described.ends).max() < 10 * GIVEN.tolerance_m
+    described = mean_field.describe(SEABED, dataclasses.replace(CONDITIONS, noise_sigma_m=0.0))
+    assert np.abs(described.ends).max() < 10 * CONDITIONS.tolerance_m
 
 
 def test_more_noise_is_more_variance():
     sigmas = (0.0, 0.1, 0.2, 0.4, 0.8)
-    variances = [np.trace(covariance(SEABED, dataclasses.replace(GIVEN, noise_sigma_m=s))) for s in sigmas]
+    variances = [np.trace(covariance(SEABED, dataclasses.replace(CONDITIONS, noise_sigma_m=s))) for s in sigmas]
     assert variances == sorted(variances)
     assert variances[-1] > 10 * variances[1]
 
 
 def test_higher_ground_is_stiffer():
-    low, high = (mean_field.describe(SEABED * [1, 1, h], GIVEN).stiffness for h in (0.2, 0.4))
+    low, high = (mean_field.describe(SEABED * [1, 1, h], CONDITIONS).stiffness for h in (0.2, 0.4))
     assert (np.linalg.eigvalsh(high - 2 * low) > 0).all()
 
 
 def test_it_says_how_many_points_there_are_and_how_far_apart():
-    described = mean_field.describe(SEABED, GIVEN)
+    described = mean_field.describe(SEABED, CONDITIONS)
     assert described.points == len(SEABED)
     assert described.spacing_m == pytest.approx(150 / np.sqrt(2000), rel=0.05)
     np.testing.assert_allclose(described.extent, np.cov(SEABED[:, :2].T, bias=True))
@@ -117,9 +117,9 @@ def test_it_says_how_many_points_there_are_and_how_far_apart():
 def test_a_hole_of_100_m_is_not_ground():
     wide = terrains.cloud("mild", 8000, size_m=300.0)
     holed = wide[np.abs(wide[:, :2]).max(axis=1) > 50]
-    whole, found = mean_field.describe(wide, GIVEN), mean_field.describe(holed, GIVEN)
-    assert found.spacing_m == pytest.approx(whole.spacing_m, rel=0.05)
-    np.testing.assert_allclose(found.covariance, whole.covariance * len(wide) / len(holed), rtol=0.5, atol=2e-4)
+    whole, described = mean_field.describe(wide, CONDITIONS), mean_field.describe(holed, CONDITIONS)
+    assert described.spacing_m == pytest.approx(whole.spacing_m, rel=0.05)
+    np.testing.assert_allclose(described.covariance, whole.covariance * len(wide) / len(holed), rtol=0.5, atol=2e-4)
 
 
 @pytest.mark.parametrize("place", [[1000.0, 1000.0, 0.0], [0.0, -10_000.0, 30.0]])
@@ -185,9 +185,9 @@ def test_dense_and_sparse_submaps_of_rough_ground_are_held(spacing_m: float):
 
 def test_threads_and_repeated_calls_give_the_same_bytes():
     submaps = [terrains.cloud("mild", 900, number) for number in range(6)]
-    alone = [mean_field.describe(points, GIVEN).ends.tobytes() for points in submaps]
+    alone = [mean_field.describe(points, CONDITIONS).ends.tobytes() for points in submaps]
     with concurrent.futures.ThreadPoolExecutor(3) as pool:
-        together = pool.map(lambda points: mean_field.describe(points, GIVEN).ends.tobytes(), submaps * 3)
+        together = pool.map(lambda points: mean_field.describe(points, CONDITIONS).ends.tobytes(), submaps * 3)
         assert list(together) == alone * 3
 
 

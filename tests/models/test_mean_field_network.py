@@ -27,11 +27,11 @@ BOTH = pytest.mark.parametrize("dimensions", [2, 3])
 def model(dimensions: int = 2, wild: float = 0.0) -> MeanFieldNetwork:
     """Return a model in evaluation mode, its weights `wild` times random numbers away from the first moment's."""
     torch.manual_seed(0)
-    made = MeanFieldNetwork(dataclasses.replace(SMALL, dimensions=dimensions))
+    network = MeanFieldNetwork(dataclasses.replace(SMALL, dimensions=dimensions))
     with torch.no_grad():
-        for parameter in made.parameters():
+        for parameter in network.parameters():
             parameter.add_(wild * torch.randn_like(parameter))
-    return made.eval()
+    return network.eval()
 
 
 def seabed(number: int) -> np.ndarray:
@@ -66,8 +66,8 @@ def test_before_training_it_answers_with_the_mean_fields_covariance(dimensions: 
 @BOTH
 @pytest.mark.parametrize("wild", [0.3, 100.0])
 def test_no_variance_is_corrected_by_more_than_the_most(dimensions: int, wild: float):
-    given = (samples(dimensions).described,)
-    before, after = predict(model(dimensions), given), predict(model(dimensions, wild), given)
+    inputs = (samples(dimensions).described,)
+    before, after = predict(model(dimensions), inputs), predict(model(dimensions, wild), inputs)
     roots = np.linalg.inv(np.linalg.cholesky(before))
     ratios = np.linalg.eigvalsh(roots @ after @ roots.mT)
     assert np.abs(np.log(ratios)).max() < SMALL.most * 1.001 + 1e-3
@@ -157,8 +157,8 @@ def test_onnx_gives_the_same_covariances_for_any_number_of_submaps(dimensions: i
     content = model_file.to_onnx(wild)
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     for count in (1, 2, 7):
-        (found,) = session.run(None, {"description": described[:count]})
-        np.testing.assert_allclose(found, predict(wild, (described[:count],)), rtol=1e-4, atol=1e-7)
+        (exported,) = session.run(None, {"description": described[:count]})
+        np.testing.assert_allclose(exported, predict(wild, (described[:count],)), rtol=1e-4, atol=1e-7)
 
 
 @BOTH

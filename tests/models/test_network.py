@@ -25,10 +25,10 @@ def clouds(count: int, points: int = 60, seed: int = 0) -> np.ndarray:
     return (drawn / np.linalg.norm(drawn, axis=2).max()).astype(np.float32)
 
 
-def lived_in(chosen: network.Settings = SMALL) -> network.PointNetKL:
+def lived_in(settings: network.Settings = SMALL) -> network.PointNetKL:
     """Return a model in evaluation mode whose batch norms and T-Nets are not those of the first moment."""
     torch.manual_seed(0)
-    model = network.PointNetKL(chosen)
+    model = network.PointNetKL(settings)
     with torch.no_grad():
         for name, parameter in model.named_parameters():
             if ".matrix." in name:
@@ -102,10 +102,10 @@ def test_the_largest_features_are_those_of_one_layer_after_the_other_and_so_are_
     answers = []
     for layers, compute in ((fast, fast), (slow, functools.partial(layer_by_layer, slow))):
         layers.train(training)
-        given = features.clone().requires_grad_()
-        answer = compute(given)
+        leaf = features.clone().requires_grad_()
+        answer = compute(leaf)
         answer.sin().sum().backward()
-        answers.append([answer, given.grad, *(p.grad for p in layers.parameters()), *layers.buffers()])
+        answers.append([answer, leaf.grad, *(p.grad for p in layers.parameters()), *layers.buffers()])
     for a, b in zip(*answers, strict=True):
         np.testing.assert_allclose(a.detach(), b.detach(), rtol=1e-6, atol=1e-9)
 

@@ -20,8 +20,8 @@ METADATA = {"label": parameters.as_metadata(LABEL), "registration": parameters.a
 
 def write(folder: Path, metadata: dict[str, object]) -> Path:
     """Write an untrained model of x and y."""
-    chosen = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
-    model = network.PointNetKL(chosen)
+    settings = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
+    model = network.PointNetKL(settings)
     (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", model, 0.01, metadata))
     return folder / "mine.pt"
 
@@ -30,8 +30,8 @@ def write(folder: Path, metadata: dict[str, object]) -> Path:
 def test_a_model_of_the_same_settings_is_read_and_none_is_none(tmp_path: Path, metadata: dict[str, object]):
     (tmp_path / "none").write_text("none\n")
     later = dataclasses.replace(LABEL, seed=3, held_out_runs=9)  # which change no Q
-    found = trained.load_all([write(tmp_path, metadata), tmp_path / "none"], later, REGISTRATION)
-    assert [each.name for each in found] == ["mine"]
+    loaded = trained.load_all([write(tmp_path, metadata), tmp_path / "none"], later, REGISTRATION)
+    assert [each.name for each in loaded] == ["mine"]
 
 
 def test_a_missing_model_says_what_to_run(tmp_path: Path):
@@ -53,7 +53,7 @@ def test_a_model_that_learned_another_q_is_refused(
     tmp_path: Path, label: dict[str, object], registration: dict[str, object], said: str
 ):
     path = write(tmp_path, METADATA)
-    with pytest.raises(TrainedError) as found:
+    with pytest.raises(TrainedError) as error:
         trained.load_all([path], dataclasses.replace(LABEL, **label), dataclasses.replace(REGISTRATION, **registration))
-    assert str(found.value).startswith(f"{path}: was trained ")
-    assert str(found.value).endswith(f"{said}; run dvc repro train@mine")
+    assert str(error.value).startswith(f"{path}: was trained ")
+    assert str(error.value).endswith(f"{said}; run dvc repro train@mine")

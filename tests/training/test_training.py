@@ -66,13 +66,13 @@ def samples(count: int, seed: int = 0) -> Samples:
 
 
 def trained(
-    chosen: training.CloudSettings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
+    settings: training.CloudSettings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
 ) -> tuple[network.PointNetKL, training.Outcome]:
-    device.prepare(chosen.seed, chosen.threads, CPU)
+    device.prepare(settings.seed, settings.threads, CPU)
     model = network.PointNetKL(kind)
     model.start(samples(8))
-    outcome = training.train(model, samples(8), samples(5, seed=1), chosen, kept)
-    training.finish(model, samples(8), chosen)
+    outcome = training.train(model, samples(8), samples(5, seed=1), settings, kept)
+    training.finish(model, samples(8), settings)
     return model, outcome
 
 
@@ -94,13 +94,13 @@ def test_every_kind_of_model_has_settings():
 
 
 def test_a_few_submaps_are_learned_by_heart():
-    chosen = dataclasses.replace(QUICK, steps=40, batch=8, points=48, validate_every=10)
+    settings = dataclasses.replace(QUICK, steps=40, batch=8, points=48, validate_every=10)
     learned = samples(8)
     device.prepare(1, 1, CPU)
     model = network.PointNetKL(SMALL)
     model.start(learned)
-    outcome = training.train(model, learned, learned, chosen)
-    training.finish(model, learned, chosen)
+    outcome = training.train(model, learned, learned, settings)
+    training.finish(model, learned, settings)
     constant = np.broadcast_to(learned.label.mean(axis=0), learned.label.shape)
     best_constant = gaussian.kl_divergence(learned.label, constant).mean()
     assert gaussian.kl_divergence(learned.label, training.predict(model, learned)).mean() < best_constant / 3
@@ -126,20 +126,20 @@ def test_another_seed_gives_another_model(model: network.PointNetKL):
 
 
 def test_the_best_weights_are_kept_and_not_the_last():
-    chosen = dataclasses.replace(QUICK, steps=12, learning_rate=0.01, validate_every=1)
-    device.prepare(chosen.seed, 1, CPU)
+    settings = dataclasses.replace(QUICK, steps=12, learning_rate=0.01, validate_every=1)
+    device.prepare(settings.seed, 1, CPU)
     model = network.PointNetKL(SMALL)
-    outcome = training.train(model, samples(8), samples(5, seed=1), chosen)
+    outcome = training.train(model, samples(8), samples(5, seed=1), settings)
     scores = outcome.history["validation"].to_numpy()
     assert outcome.best_step == outcome.history["step"][scores.argmin()]
     assert scores[-1] > scores.min()
-    again = training._validate(model, samples(8), samples(5, seed=1), chosen, 0)
+    again = training._validate(model, samples(8), samples(5, seed=1), settings, 0)
     assert again == pytest.approx(scores.min(), rel=1e-5)
 
 
 def test_training_stops_when_validation_no_longer_improves():
-    chosen = dataclasses.replace(QUICK, steps=60, learning_rate=0.05, validate_every=2, patience=3)
-    outcome = trained(chosen)[1]
+    settings = dataclasses.replace(QUICK, steps=60, learning_rate=0.05, validate_every=2, patience=3)
+    outcome = trained(settings)[1]
     assert outcome.steps == outcome.best_step + 6 < 60
     assert outcome.history["step"].tolist() == list(range(0, outcome.steps + 1, 2))
 
@@ -204,9 +204,9 @@ def test_a_damaged_model_s_file_is_refused_in_a_sentence(model: network.PointNet
     if damage != "missing":
         path.write_bytes(written[damage])
     sentence = r"model\.pt: is (missing|damaged).*run dvc repro train@model"
-    with pytest.raises(model_file.ModelFileError, match=sentence) as found:
+    with pytest.raises(model_file.ModelFileError, match=sentence) as error:
         model_file.read(path)
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(error.value)
 
 
 def test_onnx_gives_the_same_covariances_for_any_number_of_points(model: network.PointNetKL):
@@ -300,7 +300,7 @@ def test_mixed_precision_trains_about_as_well(monkeypatch: pytest.MonkeyPatch):
 def test_one_wild_label_does_not_make_the_step_long():
     wild = samples(8)
     wild.label[0] = 1e-9 * np.eye(2)
-    chosen = dataclasses.replace(QUICK, floor_m2=0.0, steps=2, validate_every=1, gradient_norm=1.0)
+    settings = dataclasses.replace(QUICK, floor_m2=0.0, steps=2, validate_every=1, gradient_norm=1.0)
     lengths = []
     clip = torch.nn.utils.clip_grad_norm_
 
@@ -312,7 +312,7 @@ def test_one_wild_label_does_not_make_the_step_long():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training.nn.utils, "clip_grad_norm_", watched)
-        training.train(network.PointNetKL(SMALL), wild, samples(5), chosen)
+        training.train(network.PointNetKL(SMALL), wild, samples(5), settings)
     assert all(before > 1 >= after - 1e-5 for before, after in lengths)
 
 
@@ -338,8 +338,8 @@ def prepare_stage(folder: Path) -> list[str | Path]:
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["study"]["train"] = {n: params["study"]["train"][n] for n in ("baltic", "shetland")}
     small = {"scale_input": True, "hidden_layers": 1, "hidden_width": 16, "dropout": 0.1}
-    chosen = {**parameters.as_metadata(QUICK), "steps": 40, "validate_every": 5}
-    params["models"] = {"mine": {"kind": "pointnetkl", "network": small, "train": chosen}}
+    settings = {**parameters.as_metadata(QUICK), "steps": 40, "validate_every": 5}
+    params["models"] = {"mine": {"kind": "pointnetkl", "network": small, "train": settings}}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     made = {"weights": "m.pt", "onnx": "m.onnx", "loss": "loss.csv", "summary": "summary.json"}
     made["every-s"] = "0.4"
