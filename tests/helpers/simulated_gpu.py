@@ -1,4 +1,4 @@
-"""A GPU for tests: numba's simulator, in a process of its own."""
+"""A simulated GPU for tests: numba's simulator, in a new process."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ THREADS = 8  # of a block: each is a thread of Python
 
 
 class HostLane(cuda.Lane):
-    """Arrays as device functions take them here, NumPy's own, filled with what a GPU's memory may hold."""
+    """A lane whose arrays are NumPy's, as the simulator takes them; new ones are filled with numbers, as on a GPU."""
 
     def __init__(self, blocks: int = 2):
         self.gpu, self.blocks, self.stream = "simulator", blocks, 0
@@ -36,7 +36,7 @@ def install() -> None:
     cuda.Lane, cuda._THREADS = HostLane, THREADS  # type: ignore[misc]
 
 
-def run(*command: str, **how: Any) -> subprocess.CompletedProcess[str]:
+def run(*command: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """Run a script of Python in a process that simulates: numba asks for it when it is imported."""
     environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, **how)
+    return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, **options)

@@ -37,7 +37,7 @@ class Settings:
     prior_variance_m2: float  # a of Sigma_sample = a I
     noise_sigma_m: float  # of each coordinate of the copy
     held_out_runs: int
-    engine: str = "cpu"  # cpu or cuda
+    engine: str = "cpu"  # cpu, or cuda (experimental)
     target_relative_error: float | None = None  # at which a label's runs end early; None: never
     prior_yaw_sigma_rad: float = 0.03  # of the yaw of the perturbation, where yaw is registered
 

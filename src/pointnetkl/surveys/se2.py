@@ -62,7 +62,7 @@ class SE2:
         return SE2(self.act(first.translation), self.yaw + first.yaw)
 
     def __truediv__(self, first: "SE2") -> "SE2":
-        """Return `self @ first.inverse()`, the motion that after `first` makes this one, with one rounding less."""
+        """Return `self @ first.inverse()`, the motion that after `first` makes this one, with one rotation instead of two."""
         yaw = self.yaw - first.yaw
         return SE2(self.translation - rotate(first.translation, yaw), yaw)
 

@@ -60,7 +60,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Cloud:
-    """A cloud ready to be registered; its points stand in the order of its search grid, not in the caller's."""
+    """A cloud ready to be registered; its points are in the order of its search grid, not in the caller's."""
 
     points: np.ndarray  # (n, 3) float64, metres
     normals: np.ndarray  # (n, 3) float32, unit, upwards (nz >= 0)

@@ -14,7 +14,7 @@ from pointnetkl.surveys.se2 import SE2, rotate
 class Registration:
     """Outcome of aligning one cloud with another."""
 
-    T_target_source: SE2  # lays the source on the target, in axes with the origin at the target's centre
+    T_target_source: SE2  # from the source's coordinates to the target's, both with the origin at the target's centre
     # (M, M) 1/m^2 and 1/rad^2, yaw about the target's centre: the sum of J^T M J over the matches at the solution, J
     # the Jacobian of (x, y) or (x, y, yaw); zero without any match
     information: np.ndarray
@@ -27,25 +27,27 @@ class Registration:
 class Registrations:
     """Outcomes of aligning b noisy copies of one cloud with another."""
 
-    T_target_copy: SE2  # (b) motions that lay the moved, noisy copies on the target, with the origin at its centre
+    T_target_copy: SE2  # (b) motions from the moved, noisy copies' coordinates, likewise about the target's centre
     converged: np.ndarray  # (b,) bool
     iterations: np.ndarray  # (b,) int32
 
 
 def register(source: Source, target: Cloud, settings: Settings, start: SE2 | None = None) -> Registration:
-    """Return the motion by settings.dof, near `start`, that lays the source on the target.
+    """Register the source with the target, from the motion `start` on.
 
-    Both clouds are in the same axes. Motions, the answer's and `start`, have their origin at the target's centre; only
-    the dof xyyaw has a yaw. Without any match within settings.max_distance_m the answer is the start itself, not
-    converged, with zero information.
+    Both clouds are in the same axes. `start` and the result have their origin at the target's centre; only the dof xyyaw
+    has a yaw. Without any match within settings.max_distance_m the result is the start itself, not converged, with zero
+    information.
 
     Raises:
         GicpError: the start has a yaw, and the dof is xy.
     """
     start = start or SE2.identity()
     if start.yaw and settings.dimensions == 2:
-        raise GicpError(f"a start with a yaw of {start.yaw:g} rad needs the dof xyyaw, and it is xy")
-    # the kernel's source is moved first and turned then
+        raise GicpError(
+            f"a start with a yaw of {start.yaw:g} rad needs the dof xyyaw, and it is xy; set registration.dof to xyyaw"
+        )
+    # the kernel takes a source that is moved first, and then turns it
     move = rotate(start.translation, -start.yaw)
     (x, y, yaw), sums, iterations, converged, matched = kernel.register(
         source.as_source(target, np.array([*move, 0.0])), target.as_target, float(start.yaw), limits(settings)
