@@ -62,7 +62,7 @@ class SE2:
         return SE2(self.act(first.translation), self.yaw + first.yaw)
 
     def __truediv__(self, first: "SE2") -> "SE2":
-        """Return `self @ first.inverse()`, the motion that after `first` makes this one, with one rotation instead of two."""
+        """Return `self @ first.inverse()`, the motion that after `first` makes this one, by a single rotation."""
         yaw = self.yaw - first.yaw
         return SE2(self.translation - rotate(first.translation, yaw), yaw)
 

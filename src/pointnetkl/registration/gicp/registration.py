@@ -35,9 +35,9 @@ class Registrations:
 def register(source: Source, target: Cloud, settings: Settings, start: SE2 | None = None) -> Registration:
     """Register the source with the target, from the motion `start` on.
 
-    Both clouds are in the same axes. `start` and the result have their origin at the target's centre; only the dof xyyaw
-    has a yaw. Without any match within settings.max_distance_m the result is the start itself, not converged, with zero
-    information.
+    Both clouds are in the same axes. `start` and the result have their origin at the target's centre; only the dof
+    xyyaw has a yaw. Without any match within settings.max_distance_m the result is the start itself, not converged,
+    with zero information.
 
     Raises:
         GicpError: the start has a yaw, and the dof is xy.
