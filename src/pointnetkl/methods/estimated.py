@@ -27,7 +27,7 @@ class Settings:
     sampled_runs: list[int]  # registrations of each mc_<runs>
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of their range."""
         require_seed(self.seed)
         if min(self.sampled_runs, default=3) < 3 or len(set(self.sampled_runs)) < len(self.sampled_runs):
             raise ValueError(f"sampled_runs is {self.sampled_runs}, each must be at least 3 and stand once")

@@ -39,7 +39,7 @@ class Settings:
     runs: int  # registrations of monte_carlo
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of their range."""
         parameters.require_seed(self.seed)
         parameters.require_positive(self, "submaps", "spacing_m")
         if min(self.points, self.runs) < 3:

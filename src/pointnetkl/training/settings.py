@@ -29,7 +29,7 @@ class Settings:
     early_stopping: str  # whole: on the whole validation set; paper: on a random batch of it, after every step
 
     def __post_init__(self) -> None:
-        """Refuse what cannot train."""
+        """Refuse values out of their range."""
         parameters.require_seed(self.seed)
         parameters.require_positive(self, "threads", "steps", "learning_rate", "gradient_norm")
         parameters.require_positive(self, "validation_blocks", "validate_every", "patience")
@@ -57,7 +57,7 @@ class CloudSettings(Settings):
     statistics_batch: int
 
     def __post_init__(self) -> None:
-        """Refuse what cannot train."""
+        """Refuse values out of their range."""
         super().__post_init__()
         parameters.require_positive(self, "points", "statistics_batches")
         _require_pairs(self, "statistics_batch")

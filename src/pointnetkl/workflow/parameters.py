@@ -52,7 +52,7 @@ def from_metadata(metadata: Mapping[str, Any], section: str, kind: type[T], orig
     Raises:
         SettingsError: the metadata lacks the section, or the section does not fit `kind`.
     """
-    if section not in metadata:
+    if not isinstance(metadata, Mapping) or section not in metadata:
         raise SettingsError(f"{origin}: does not say with which {section} it was made; run its stage again (dvc repro)")
     return typing.cast(T, _convert(metadata[section], kind, f"{origin}: {section}"))
 

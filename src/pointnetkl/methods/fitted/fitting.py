@@ -1,4 +1,4 @@
-"""Fitting a few numbers to training labels: what is fitted to, what comes out, and how it is judged."""
+"""Fitting a few numbers to training labels: the training data, the result, and its mean KL divergence."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 
 class FittingError(PointNetKLError):
-    """There is nothing to fit to, or a fit's numbers are not what its method needs."""
+    """There are no training submaps, or a fit lacks numbers that its method needs."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Settings:
     judged: int = 1000  # submaps at most that what is remembered is judged on, evenly spread
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of their range."""
         parameters.require_seed(self.seed)
         parameters.require_positive(self, "starts", "judged")
         if self.blocks < 2:
@@ -54,7 +54,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Fit:
-    """What one method learned."""
+    """The numbers that one method learned."""
 
     numbers: dict[str, float]
     mean_kl: float  # nats over the training submaps, with the floor; of what is remembered: each judged by the others

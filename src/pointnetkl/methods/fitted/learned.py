@@ -22,7 +22,7 @@ class Learner(Protocol):
         """Return the names of the numbers, for covariances (M, M)."""
 
     def fit(self, training: fitting.Training, settings: fitting.Settings) -> fitting.Fit:
-        """Return what has the least mean KL to the training labels."""
+        """Return the numbers with the least mean KL to the training labels."""
 
     def from_fit(self, name: str, fit: fitting.Fit, setup: SelfRegistration) -> Method:
         """Return the method of a fit."""
@@ -44,16 +44,16 @@ class Settings:
     seed: int  # of the noisy copies that closed forms look at
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of their range."""
         require_seed(self.seed)
 
 
 @dataclass(frozen=True)
 class Fits:
-    """What every method learned, from how many submaps."""
+    """The fits of every method, and the training submaps and labels behind them."""
 
     fits: dict[str, fitting.Fit]
-    submaps: int
+    submaps: int  # of the training surveys
     label: monte_carlo.Settings  # of the training labels, as is the next
     registration: gicp.Settings
 
