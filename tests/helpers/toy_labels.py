@@ -27,7 +27,7 @@ REGISTRATION = gicp.Settings(
 )
 
 
-def one(number: int, points: int = 100) -> Submap:
+def toy_submap(number: int, points: int = 100) -> Submap:
     """Return a submap; others have other points."""
     kind = list(terrains.AMPLITUDES_M)[number % len(terrains.AMPLITUDES_M)]
     return Submap("toy", number, *(terrains.cloud(kind, points, 3 * number + part) for part in range(3)))
@@ -36,7 +36,7 @@ def one(number: int, points: int = 100) -> Submap:
 def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 100) -> Path:
     """Write the survey's points and parameters to a folder; return it."""
     artifacts.write_table(
-        folder / "submaps.parquet", submap.to_table(one(i, points) for i in range(submaps)), submap.POINTS, {}
+        folder / "submaps.parquet", submap.to_table(toy_submap(i, points) for i in range(submaps)), submap.POINTS, {}
     )
     line = {
         "group": "train",
@@ -74,11 +74,11 @@ def start(folder: Path, largest_file: int = resource.RLIM_INFINITY, **environmen
     command = [sys.executable, str(ROOT / "pipeline/label.py"), "toy", "--params", "params.yaml"]
     command += ["--submaps", "submaps.parquet", "--shards", "shards"]
     command += ["--labels", "out/labels.parquet", "--errors", "out/errors.npz"]
-    kept = {name: value for name, value in os.environ.items() if name != "DASK_SCHEDULER_ADDRESS"}
+    inherited = {name: value for name, value in os.environ.items() if name != "DASK_SCHEDULER_ADDRESS"}
     return subprocess.Popen(
         command,
         cwd=folder,
-        env=kept | {"POINTNETKL_WORKERS": "2"} | environment,
+        env=inherited | {"POINTNETKL_WORKERS": "2"} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -16,7 +16,7 @@ from pointnetkl.labels.shards import ShardError
 from pointnetkl.registration import monte_carlo
 from pointnetkl.registration.covariance import label_table
 from pointnetkl.surveys import submap
-from toy_labels import SETTINGS, SUBMAPS, intact, job, one, same_label, write
+from toy_labels import SETTINGS, SUBMAPS, intact, job, same_label, toy_submap, write
 
 
 @pytest.fixture(autouse=True)
@@ -63,7 +63,7 @@ def test_a_changed_parameter_labels_all_and_the_old_one_none(survey: Path):
 
 
 def test_the_name_changes_with_all_that_the_label_depends_on(survey: Path):
-    task, cloud = job(survey), one(0)
+    task, cloud = job(survey), toy_submap(0)
     split = dataclasses.replace(task, settings=dataclasses.replace(SETTINGS, copy="split"))
     paths = [
         dataclasses.replace(task, runs=21).path(cloud),
@@ -82,7 +82,7 @@ def test_the_name_changes_with_all_that_the_label_depends_on(survey: Path):
 
 
 def test_the_name_changes_with_nothing_else(survey: Path):
-    task, cloud = job(survey), one(0)
+    task, cloud = job(survey), toy_submap(0)
     elsewhere = dataclasses.replace(task, submaps=survey / "x.parquet", folder=survey / "y")
     assert elsewhere.path(cloud).name == task.path(cloud).name
     assert task.path(dataclasses.replace(cloud, first=cloud.second)) == task.path(
@@ -152,7 +152,7 @@ def test_a_worker_with_other_code_is_refused(survey: Path):
 
 def test_a_worker_that_sees_other_points_is_refused(survey: Path):
     task = job(survey)
-    name = task.path(one(1)).name
+    name = task.path(toy_submap(1)).name
     with pytest.raises(ShardError, match="submap 0 has changed since the stage began"):
         shards.make(task, (0, name))
     assert not intact(survey)
