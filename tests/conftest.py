@@ -1,6 +1,10 @@
-"""The order of test files."""
+"""The order of test files, and how many processes the stages that they run may start."""
+
+import os
 
 import pytest
+
+os.environ.setdefault("POINTNETKL_WORKERS", "1")  # tests of several workers ask for them; others would wait for starts
 
 _LONG = ("test_pipeline.py", "test_pipeline_yaw.py", "test_label_stage.py")
 

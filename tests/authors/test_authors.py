@@ -19,6 +19,8 @@ from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.workflow import parameters
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 QUICK = {
     "steps": 3,

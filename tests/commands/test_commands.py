@@ -60,6 +60,7 @@ def export(survey: Path, out: Path, *more: object) -> list[object]:
     return ["export", survey / "graph.npz", *words, *more]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dialect", g2o.DIALECTS)
 def test_an_exported_graph_solves_to_what_the_benchmark_finds(
     survey: Path, tmp_path: Path, dialect: str, capsys: pytest.CaptureFixture
@@ -222,6 +223,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], np.ndar
     return paths, truth
 
 
+@pytest.mark.slow
 def test_submaps_in_files_become_an_optimised_graph(
     files: tuple[list[Path], np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture
 ):

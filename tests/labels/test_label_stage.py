@@ -17,6 +17,8 @@ from local_dask import LocalDask
 from pointnetkl.workflow import artifacts
 from toy_labels import change, fail, intact, kill, outputs, run, start, until, write
 
+pytestmark = pytest.mark.slow
+
 SUBMAPS, RUNS = 40, 400  # some seconds of work
 KILLS = 20
 

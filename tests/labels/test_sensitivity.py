@@ -154,6 +154,7 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any]):
         dataclasses.replace(SETTINGS, **change)
 
 
+@pytest.mark.slow
 def test_the_stage_writes_the_same_table_whatever_the_workers(tmp_path: Path, path: Path):
     params = (ROOT / "params.yaml").read_text()
     line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"

@@ -194,6 +194,7 @@ def test_senseless_numbers_of_draws_are_refused(runs):
         estimated.Settings(seed=0, sampled_runs=runs)
 
 
+@pytest.mark.slow
 def test_the_structure_tensor_fits_labels_better_than_their_mean(fits):
     assert fits.fits["structure_tensor"].mean_kl < 0.5 * fits.fits["constant_train"].mean_kl
 

@@ -123,6 +123,7 @@ def test_the_fit_beats_the_constant_on_noisy_labels():
     assert fit.mean_kl < 0.2 * fitting.mean_kl(labels, labels.mean(axis=0), SETTINGS.floor_m2)
 
 
+@pytest.mark.slow
 def test_the_fit_saturates_at_the_prior_when_flat_labels_do():
     T = np.concatenate([tensors(100), np.zeros((100, 2, 2))])
     labels = dataclasses.replace(METHOD, b_m2=9.0, f_m2=1e-4).from_tensors(T)
@@ -130,12 +131,14 @@ def test_the_fit_saturates_at_the_prior_when_flat_labels_do():
     np.testing.assert_allclose(fitted.from_tensors(np.zeros((1, 2, 2)))[0], 9 * np.eye(2), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_fit_is_the_same_each_time():
     T = tensors(40)
     labels = METHOD.from_tensors(T[::-1])
     assert st.fit_tensors(T, SETUP.prior(), labels, SETTINGS) == st.fit_tensors(T, SETUP.prior(), labels, SETTINGS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.0, 1e-9, 1e6])
 def test_the_fit_answers_on_the_flattest_and_the_steepest_ground(scale):
     T = scale * tensors(20)

@@ -201,6 +201,7 @@ print(forces.slopes(*fields, 2, 1, 2e-3).tobytes().hex())
 """
 
 
+@pytest.mark.slow
 def test_the_only_reordered_sums_are_the_same_whoever_compiled_them_and_after_what(tmp_path: Path):
     def sums(cache: str, before: str = "") -> str:
         variables = {"PYTHONPATH": str(Path(__file__).parents[2] / "src"), "NUMBA_CACHE_DIR": str(tmp_path / cache)}

@@ -28,6 +28,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(out.glob("*.whl"))
 
 
+@pytest.mark.slow
 def test_the_wheel_has_every_module_and_says_that_it_is_typed(wheel: Path):
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if name.startswith("pointnetkl/")}
@@ -35,6 +36,7 @@ def test_the_wheel_has_every_module_and_says_that_it_is_typed(wheel: Path):
     assert packed == sources | {"pointnetkl/py.typed"}
 
 
+@pytest.mark.slow
 def test_the_wheel_can_be_imported_and_has_the_version_of_the_package(wheel: Path, tmp_path: Path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)

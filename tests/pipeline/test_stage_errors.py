@@ -1,9 +1,13 @@
 """A stage that cannot do its work says why in one sentence, exits with 1, and leaves what was there as it was."""
 
+import contextlib
+import io
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pandas as pd
@@ -19,14 +23,20 @@ ROOT = Path(__file__).parents[2]
 
 
 def stage(name: str, *arguments: str | Path) -> str:
-    """Run a stage that must fail; return the sentence that it ends with."""
-    command = [sys.executable, str(ROOT / "pipeline" / f"{name}.py"), *map(str, arguments)]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 1, result.stdout + result.stderr
-    assert "Traceback" not in result.stderr
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1
-    return lines[0]
+    """Run a stage that must fail, in this process; return the sentence that it ends with."""
+    command, printed = [f"{name}.py", *map(str, arguments)], io.StringIO()
+    with (
+        contextlib.chdir(ROOT),
+        contextlib.redirect_stderr(printed),
+        mock.patch.object(sys, "argv", command),
+        pytest.raises(SystemExit) as ended,
+    ):
+        runpy.run_path(str(ROOT / "pipeline" / f"{name}.py"), run_name="__main__")
+    assert printed.getvalue() == ""
+    sentence = ended.value.code  # Python prints a text and ends with status 1
+    assert isinstance(sentence, str)
+    assert len(sentence.splitlines()) == 1
+    return sentence
 
 
 @pytest.fixture
@@ -49,9 +59,12 @@ def short_survey(tmp_path: Path) -> Path:
     return tmp_path / "survey"
 
 
-def test_a_missing_raw_file(tmp_path: Path):
-    said = stage("ingest", "x", "--raw", tmp_path / "gone.gsf", "--truth", "data/none", "--out", tmp_path / "out")
-    assert f"{tmp_path / 'gone.gsf'}: is missing" in said
+def test_a_missing_raw_file_in_a_process_of_its_own(tmp_path: Path):
+    script = [sys.executable, ROOT / "pipeline/ingest.py", "x", "--raw", tmp_path / "gone.gsf", "--truth", "data/none"]
+    result = subprocess.run([*script, "--out", tmp_path / "out"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"error: {tmp_path / 'gone.gsf'}: is missing")
+    assert len(result.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -24,6 +24,8 @@ from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts, parameters, study
 from toy_survey import REGISTRATION, SETTINGS, SPACING, sail
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 METHODS = ("monte_carlo", "network", "structure_tensor", "constant", "naive_gicp")
 

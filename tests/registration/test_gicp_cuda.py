@@ -26,6 +26,8 @@ from pointnetkl.registration.gicp.cuda import kernel
 from pointnetkl.registration.gicp.cuda import matching as cuda_matching
 from pointnetkl.surveys.se2 import SE2
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = gicp.Settings(neighbours=20, plane_epsilon=1e-3, max_distance_m=20.0, tolerance_m=1e-3, max_iterations=50)
 KINDS = [*terrains.AMPLITUDES_M, "ridge"]
 POINTS, RUNS = 150, 3

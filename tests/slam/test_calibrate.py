@@ -62,6 +62,7 @@ def size(q: np.ndarray) -> float:
     return float(np.sqrt(np.linalg.det(q)))
 
 
+@pytest.mark.slow
 def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_of_them(
     toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
 ):
@@ -214,6 +215,7 @@ def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps
     return [*command, "--closures", "out/toy.parquet", "--covariances", "out/toy_covariances.parquet"]
 
 
+@pytest.mark.slow
 def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGraph], tmp_path: Path):
     subprocess.run(write(tmp_path, toy, len(toy[0])), cwd=tmp_path, check=True, capture_output=True)
     rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_tables.CLOSURES)

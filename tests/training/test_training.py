@@ -93,6 +93,7 @@ def test_every_kind_of_model_has_settings():
     assert training.KINDS.keys() == model_file.KINDS.keys()
 
 
+@pytest.mark.slow
 def test_a_few_submaps_are_learned_by_heart():
     settings = dataclasses.replace(QUICK, steps=40, batch=8, points=48, validate_every=10)
     learned = samples(8)
@@ -357,6 +358,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_stage_writes_a_model_its_losses_and_its_scores(whole: Path):
     summary = json.loads((whole / "summary.json").read_text())
     assert summary["submaps"] == {"training": 20, "validation": 4}
@@ -372,6 +374,7 @@ def test_the_stage_writes_a_model_its_losses_and_its_scores(whole: Path):
     assert not list((whole / "checkpoints").iterdir())
 
 
+@pytest.mark.slow
 def test_a_killed_stage_goes_on_and_makes_the_very_files_of_an_undisturbed_one(whole: Path, tmp_path: Path):
     command, loss = prepare_stage(tmp_path), tmp_path / "loss.csv"
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
