@@ -32,13 +32,13 @@ def main(arguments: argparse.Namespace) -> None:
         label=label,
         registration=registration,
     )
-    cases = sensitivity.cases(numbers, settings, label)
-    labels = compute.over(rows, cases, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
+    variations = sensitivity.variations(numbers, settings, label)
+    labels = compute.over(rows, variations, f"vary {arguments.survey}", processes=label.engine != "cuda", unit="label")
     sections = {"vary": settings, "label": label, "registration": registration}
     params = {name: parameters.as_metadata(values) for name, values in sections.items()}
     schema = label_table.variations_schema(registration.dimensions)
-    variations = pd.DataFrame(chain.from_iterable(labels), columns=schema.names)
-    artifacts.write_table(arguments.variations, variations, schema, {"survey": arguments.survey, "params": params})
+    table = pd.DataFrame(chain.from_iterable(labels), columns=schema.names)
+    artifacts.write_table(arguments.variations, table, schema, {"survey": arguments.survey, "params": params})
 
 
 def choose(survey: str, path: Path, count: int, registration: gicp.Settings) -> list[int]:

@@ -50,18 +50,18 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def case(number: int, study: str = label_table.CONDITIONS, **change: Any) -> sensitivity.Case:
-    usual = sensitivity.Case(number, study, "same", 0.2, 1.0, 60)
+def variation(number: int, study: str = label_table.CONDITIONS, **change: Any) -> sensitivity.Variation:
+    usual = sensitivity.Variation(number, study, "same", 0.2, 1.0, 60)
     return dataclasses.replace(usual, **change)
 
 
-def rows(path: Path, item: sensitivity.Case) -> pd.DataFrame:
-    labels = sensitivity.rows(item, "small", path, CELL_M, SETTINGS, LABEL, REGISTRATION)
+def rows(path: Path, varied: sensitivity.Variation) -> pd.DataFrame:
+    labels = sensitivity.rows(varied, "small", path, CELL_M, SETTINGS, LABEL, REGISTRATION)
     return pd.DataFrame(labels, columns=label_table.VARIATIONS.names)
 
 
-def trace(path: Path, item: sensitivity.Case) -> float:
-    (row,) = rows(path, item).itertuples()
+def trace(path: Path, varied: sensitivity.Variation) -> float:
+    (row,) = rows(path, varied).itertuples()
     return row.q_xx_m2 + row.q_yy_m2
 
 
@@ -79,17 +79,19 @@ def test_a_ridge_is_less_rugged_than_what_leans_both_ways():
 
 
 def test_every_condition_is_asked_for_once_for_both_copies():
-    cases = sensitivity.cases([4, 7], SETTINGS, LABEL)
-    assert len(cases) == len(set(cases)) == 2 * (1 + 2 * 3)
-    assert [item.submap for item in cases if item.study == label_table.RUNS] == [4, 7]
+    variations = sensitivity.variations([4, 7], SETTINGS, LABEL)
+    assert len(variations) == len(set(variations)) == 2 * (1 + 2 * 3)
+    assert [varied.submap for varied in variations if varied.study == label_table.RUNS] == [4, 7]
     conditions = {
-        (item.copy, item.noise_sigma_m, item.thinning) for item in cases if item.study == label_table.CONDITIONS
+        (varied.copy, varied.noise_sigma_m, varied.thinning)
+        for varied in variations
+        if varied.study == label_table.CONDITIONS
     }
     assert conditions == {(c, *o) for c in ("same", "split") for o in ((0.2, 1.0), (0.2, 2.0), (0.0, 1.0))}
 
 
 def test_parts_share_no_run_and_the_last_row_is_the_whole(path: Path):
-    labels = rows(path, case(1, label_table.RUNS))
+    labels = rows(path, variation(1, label_table.RUNS))
     assert labels.groupby("runs")["repeat"].apply(list).to_dict() == {13: [0, 1, 2, 3], 30: [0, 1], 60: [0]}
     halves, complete = labels[labels["runs"] == 30], labels.iloc[-1]
     # second moments of parts add up to that of the whole
@@ -97,7 +99,7 @@ def test_parts_share_no_run_and_the_last_row_is_the_whole(path: Path):
 
 
 def test_a_part_of_all_runs_is_the_label_of_so_many(path: Path):
-    long, short = rows(path, case(1, label_table.RUNS)), rows(path, case(1, runs=30))
+    long, short = rows(path, variation(1, label_table.RUNS)), rows(path, variation(1, runs=30))
     first = long[(long["runs"] == 30) & (long["repeat"] == 0)]
     assert first["q_xx_m2"].item() == short["q_xx_m2"].item()
 
@@ -105,25 +107,25 @@ def test_a_part_of_all_runs_is_the_label_of_so_many(path: Path):
 def test_an_unvaried_label_is_that_of_the_label_s_estimator(path: Path):
     settings = dataclasses.replace(LABEL, seed=SETTINGS.seed)
     expected = monte_carlo.label(submap.read("small", path, 1), 60, settings, REGISTRATION).row
-    (labels,) = rows(path, case(1)).to_dict("records")
+    (labels,) = rows(path, variation(1)).to_dict("records")
     for name in ("q_xx_m2", "q_xy_m2", "relative_error", "mean_x_m", "main_basin_share", "spacing_m"):
         assert labels[name] == pytest.approx(expected[name])
 
 
 def test_the_label_of_a_rugged_copy_grows_as_the_square_of_its_noise(path: Path):
-    low, high = (trace(path, case(0, noise_sigma_m=sigma)) for sigma in (0.02, 0.2))
+    low, high = (trace(path, variation(0, noise_sigma_m=sigma)) for sigma in (0.02, 0.2))
     assert high / low == pytest.approx(100, rel=0.2)
-    assert trace(path, case(0, noise_sigma_m=0.0)) < 1e-8
+    assert trace(path, variation(0, noise_sigma_m=0.0)) < 1e-8
 
 
 def test_the_label_of_a_flat_copy_hardly_depends_on_its_noise(path: Path):
-    low, high = (trace(path, case(1, noise_sigma_m=sigma)) for sigma in (0.02, 0.2))
+    low, high = (trace(path, variation(1, noise_sigma_m=sigma)) for sigma in (0.02, 0.2))
     assert high / low == pytest.approx(1, rel=0.3)
 
 
 def test_a_coarse_flat_copy_finds_itself_and_another_pass_does_not(path: Path):
-    same, split = (trace(path, case(1, thinning=4.0, copy=copy)) for copy in ("same", "split"))
-    assert same < 0.1 * trace(path, case(1))
+    same, split = (trace(path, variation(1, thinning=4.0, copy=copy)) for copy in ("same", "split"))
+    assert same < 0.1 * trace(path, variation(1))
     assert split > 10 * same
 
 
@@ -167,7 +169,7 @@ def test_the_stage_writes_the_same_table_whatever_the_workers(tmp_path: Path, pa
     for workers in ("1", "2"):
         out = tmp_path / f"{workers}.parquet"
         command = [sys.executable, ROOT / "pipeline/vary.py", "small", "--submaps", path, "--variations", out]
-        environment = {"PATH": "", "POINTNETKL_WORKERS": workers}
+        environment = {"PATH": "", "PYTHONPATH": str(ROOT / "src"), "POINTNETKL_WORKERS": workers}
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment, check=False)
         assert done.returncode == 0, done.stderr
         written.append(out.read_bytes())

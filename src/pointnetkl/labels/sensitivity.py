@@ -59,7 +59,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Case:
+class Variation:
     """A label to compute, and in study `runs` the labels of its parts."""
 
     submap: int
@@ -83,14 +83,14 @@ def spread(ruggednesses: Sequence[float], count: int) -> list[int]:
     return [int(order[int((i + 0.5) * len(order) / count)]) for i in range(count)]
 
 
-def cases(numbers: Sequence[int], settings: Settings, label: monte_carlo.Settings) -> list[Case]:
-    """Return the cases of the submaps with these numbers, the longest first; `label` has the settings to vary."""
+def variations(numbers: Sequence[int], settings: Settings, label: monte_carlo.Settings) -> list[Variation]:
+    """Return the variations of the submaps with these numbers, the longest first; `label` has the settings to vary."""
     usual, runs = label.noise_sigma_m, settings.compared_runs
     conditions = [*((usual, t) for t in settings.thinnings), *((sigma, 1.0) for sigma in settings.noise_sigmas_m)]
     return [
-        *(Case(number, RUNS, label.copy, usual, 1.0, settings.runs) for number in numbers),
+        *(Variation(number, RUNS, label.copy, usual, 1.0, settings.runs) for number in numbers),
         *(
-            Case(number, CONDITIONS, copy, sigma, thinning, runs)
+            Variation(number, CONDITIONS, copy, sigma, thinning, runs)
             for number in numbers
             for copy in ("same", "split")
             for sigma, thinning in dict.fromkeys(conditions)
@@ -99,7 +99,7 @@ def cases(numbers: Sequence[int], settings: Settings, label: monte_carlo.Setting
 
 
 def rows(
-    case: Case,
+    variation: Variation,
     survey: str,
     path: Path,
     cell_m: float,
@@ -107,31 +107,32 @@ def rows(
     label: monte_carlo.Settings,
     registration: gicp.Settings,
 ) -> list[dict[str, Any]]:
-    """Return a case's rows of VARIATIONS; `path` is the survey's file of POINTS, whose cells have edges of `cell_m`.
+    """Return a variation's rows; `path` is the survey's file of POINTS, whose cells have edges of `cell_m`.
 
     Raises:
         SensitivityError: a cloud cannot be registered.
     """
-    cloud = thinned(submap.read(survey, path, case.submap), case.thinning, cell_m, settings.seed)
-    varied = replace(label, seed=settings.seed, copy=case.copy, noise_sigma_m=case.noise_sigma_m)
+    cloud = thinned(submap.read(survey, path, variation.submap), variation.thinning, cell_m, settings.seed)
+    varied = replace(label, seed=settings.seed, copy=variation.copy, noise_sigma_m=variation.noise_sigma_m)
     rng = monte_carlo.generator(varied, cloud, Stream.LABEL)
     try:
-        outcome = monte_carlo.errors(cloud, case.runs, rng, varied, registration)
+        outcome = monte_carlo.errors(cloud, variation.runs, rng, varied, registration)
     except gicp.GicpError as error:
-        where = f"submap {case.submap} of {survey}, thinned to {case.thinning * cell_m:g} m, copy {case.copy}"
+        thinned_to = f"thinned to {variation.thinning * cell_m:g} m"
+        where = f"submap {variation.submap} of {survey}, {thinned_to}, copy {variation.copy}"
         raise SensitivityError(f"{where}: {error}") from error
-    target = cloud.points if case.copy == "same" else cloud.first
+    target = cloud.points if variation.copy == "same" else cloud.first
     columns = {
         "survey": survey,
-        "submap": case.submap,
-        "study": case.study,
-        "copy": case.copy,
-        "noise_sigma_m": case.noise_sigma_m,
-        "cell_m": case.thinning * cell_m,
+        "submap": variation.submap,
+        "study": variation.study,
+        "copy": variation.copy,
+        "noise_sigma_m": variation.noise_sigma_m,
+        "cell_m": variation.thinning * cell_m,
         "spacing_m": spacing.between_neighbours(target),
         "points": len(target),
     }
-    counts = settings.run_counts if case.study == RUNS else []
+    counts = settings.run_counts if variation.study == RUNS else []
     return [{**columns, "repeat": i, **monte_carlo.summarise(part)} for i, part in parts(outcome, counts)]
 
 
