@@ -141,7 +141,7 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     assert "track_km" not in numbers["datasets"]["mine"]
     rows = [line for line in made.files["tables/table_4.md"].decode().splitlines() if line.startswith("| mine")]
     assert [cell.strip() for cell in rows[0].split("|")[3:6]] == ["—", "0", "0"]
-    assert "no SLAM, of points without pings (cut into tiles): mine." in made.files["index.html"].decode()
+    assert "They have no track, and so no SLAM: mine." in made.files["index.html"].decode()
     assert "mine: SLAM error against GT, m: no track, no SLAM" in made.lines
 
 

@@ -43,7 +43,7 @@ def test_what_was_read_is_what_was_left_out_and_flagged_and_what_is_valid(blocks
 def test_every_reason_is_named_and_none_that_left_nothing_out(blocks: list[Block]):
     reasons = blocks[1].frame[blocks[1].frame["survey"] == "mine"].set_index("left_out")["count"]
     assert reasons["pings that stand twice"] == 2
-    assert reasons["soundings that the beams about them belie"] == 3
+    assert reasons["outliers: soundings that disagree with their neighbours"] == 3
     assert reasons["pings in ends of lines"] == 6
     assert (reasons > 0).all()
 

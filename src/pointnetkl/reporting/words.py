@@ -22,9 +22,9 @@ def lead(study: Study, datasets: Numbers, of_labels: Mapping[str, Labels], tests
     simulated = [name for name, each in datasets.items() if each["simulated"]]
     copy, noise = (next(iter(of_labels.values())).parameters["label"][name] for name in ("copy", "noise_sigma_m"))
     return [
-        "How uncertain is a registration of two pieces of seabed? Each table and figure compares ways to tell:"
-        " Q, the covariance in x and y of registering a submap by GICP. The paper's numbers (Torroba, Sprague, Bore"
-        " and Folkesson, PointNetKL, RA-L 2020) stand beside ours. A dash means: not known, or not in the paper.",
+        "How uncertain is a registration of two pieces of seabed? Each table and figure compares methods that estimate"
+        " it: Q, the covariance in x and y of a submap's registration by GICP. The paper's numbers (Torroba, Sprague,"
+        " Bore and Folkesson, PointNetKL, RA-L 2020) stand beside ours. A dash means: not known, or not in the paper.",
         f"Scale {study.scale}: {_count(datasets, study.train)} training submaps, {_count(datasets, study.test)}"
         f" to test on; {_span(points)} points per cloud; {_span(runs)} registrations per label (label.copy"
         f" {copy}, noise {cell(noise)} m per coordinate); {repetitions} SLAM repetitions. The paper: 9080 and"
@@ -60,13 +60,13 @@ def comparison(numbers: Numbers) -> list[str]:
     for survey, errors in numbers["slam"].items():
         simulated = " (simulated)" if numbers["datasets"][survey]["simulated"] else ""
         rivals = ("network", "pointnetkl", "structure_tensor", "cello", "constant_train", "naive_gicp")
-        kl = _each(numbers["kl"][survey], rivals, "mean")
+        kl = _list(numbers["kl"][survey], rivals, "mean")
         methods = ("corrupted", "monte_carlo", "pointnetkl", "constant", "naive_gicp")
         lines.append(f"{survey}{simulated}: mean KL, nats: {kl}")
-        against_gt = _each(errors, methods, "rmse_xyz_m")
+        against_gt = _list(errors, methods, "rmse_xyz_m")
         lines.append(f"{survey}{simulated}: SLAM error against GT, m: {against_gt or 'no track, no SLAM'}")
         if errors["gt"]["truth_rmse_xyz_m"] is not None:
-            truth = _each(errors, (*methods, "gt"), "truth_rmse_xyz_m")
+            truth = _list(errors, (*methods, "gt"), "truth_rmse_xyz_m")
             lines.append(f"{survey}{simulated}: SLAM error against truth, m: {truth}")
     return lines
 
@@ -76,15 +76,19 @@ def _simulated(simulated: Sequence[str], measured: Sequence[str]) -> str:
         return "Every survey here is measured, none simulated."
     others = f" Measured: {', '.join(measured)}." if measured else ""
     return (
-        f"Simulated: {', '.join(simulated)}. Vehicle, sonar and terrain (but for real grids) are models, stand-ins for"
-        " surveys whose raw data are not public: they can show whether the method works, not confirm the paper's"
-        " numbers. At demo scale each terrain's seed, and each grid's place, was chosen by slopes and not by any"
-        f" label or result, so that a small survey holds flat and rugged ground alike.{others}"
+        f"Simulated: {', '.join(simulated)}. Vehicle, sonar and terrain (but for real grids) are models. They stand in"
+        " for surveys whose raw data are not public. They can show whether a method works, but cannot confirm the"
+        " paper's numbers. At demo scale each terrain's seed, and each grid's place, was chosen by slopes and not by"
+        f" any label or result, so that a small survey holds flat and rugged ground alike.{others}"
     )
 
 
 def _without_track(names: Sequence[str]) -> list[str]:
-    return [f"No track, and so no SLAM, of points without pings (cut into tiles): {', '.join(names)}."] if names else []
+    return (
+        [f"Points without pings are cut into tiles. They have no track, and so no SLAM: {', '.join(names)}."]
+        if names
+        else []
+    )
 
 
 def _count(datasets: Numbers, names: Numbers) -> int:
@@ -96,5 +100,5 @@ def _span(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _each(numbers: Numbers, names: Sequence[str], what: str) -> str:
-    return ", ".join(f"{name} {cell(numbers[name].get(what))}" for name in names if name in numbers)
+def _list(numbers: Numbers, methods: Sequence[str], measure: str) -> str:
+    return ", ".join(f"{method} {cell(numbers[method].get(measure))}" for method in methods if method in numbers)

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 
 from pointnetkl.reporting import paper, text_table
 from pointnetkl.reporting.drawing import plots
-from pointnetkl.reporting.labels import numbers as label_study
-from pointnetkl.reporting.results import Labels
+from pointnetkl.reporting.labels import numbers as label_numbers
+from pointnetkl.reporting.results import GOLD, Labels
 
 _COPIES = ("same", "split")
 _COLOURS = {"smaller": plots.BLUE, "larger": plots.ORANGE}
 _SURVEYS = (plots.BLUE, plots.ORANGE, plots.PURPLE, plots.GREEN)
-_LOWEST_M2 = 1e-7  # of an axis: a registration that stops at steps of 1 mm knows no less
+_LOWEST_M2 = 1e-7  # of an axis: a registration stops at steps of 1 mm, so less means nothing
 
 
 def every(
@@ -88,22 +88,22 @@ def training(losses: Mapping[str, pd.DataFrame]) -> Figure:
 def dependence(variations: pd.DataFrame, prior_m2: float, runtime: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """Yield the figures of what a label depends on (label_table.VARIATIONS), by name."""
     runs = runtime.get("machine", {}).get("params", {}).get("runs")
-    seconds = runtime["monte_carlo"]["mean_s"] / runs if runs and "monte_carlo" in runtime else None
-    yield "cost_accuracy", cost_accuracy(label_study.accuracy(variations), seconds)
-    yield "spacing", spacing(label_study.by_spacing(variations), prior_m2)
-    yield "noise", noise(label_study.by_noise(variations))
+    seconds = runtime[GOLD]["mean_s"] / runs if runs and GOLD in runtime else None
+    yield "cost_accuracy", cost_accuracy(label_numbers.accuracy(variations), seconds)
+    yield "spacing", spacing(label_numbers.by_spacing(variations), prior_m2)
+    yield "noise", noise(label_numbers.by_noise(variations))
 
 
 def cost_accuracy(accuracy: pd.DataFrame, seconds: float | None) -> Figure:
     """Draw the error of a label against its number of runs, a line for each submap, beside that of Gaussian errors.
 
-    `accuracy` is what label_study.accuracy returns; the `seconds` of one registration give a second axis.
+    `accuracy` is what label_numbers.accuracy returns; the `seconds` of one registration give a second axis.
     """
     figure = Figure((plots.WIDTH_IN, 4.4), layout="constrained")
     runs = np.geomspace(10, 4000, 100)
     curves = (
-        ("relative_error", label_study.gaussian_error(runs), "relative error of a variance"),
-        ("kl_mean", label_study.gaussian_kl(runs), "mean KL(label || label of L runs) (nats)"),
+        ("relative_error", label_numbers.gaussian_error(runs), "relative error of a variance"),
+        ("kl_mean", label_numbers.gaussian_kl(runs), "mean KL(label || label of L runs) (nats)"),
     )
     colours = {survey: _SURVEYS[i % len(_SURVEYS)] for i, survey in enumerate(dict.fromkeys(accuracy["survey"]))}
     for axes, (column, theory, label) in zip(figure.subplots(1, 2), curves, strict=True):
@@ -125,7 +125,7 @@ def cost_accuracy(accuracy: pd.DataFrame, seconds: float | None) -> Figure:
 def spacing(labels: pd.DataFrame, prior_m2: float) -> Figure:
     """Draw both eigenvalues of labels against point spacing, a panel for each survey and kind of copy.
 
-    `labels` is what label_study.by_spacing returns.
+    `labels` is what label_numbers.by_spacing returns.
     """
     figure, panels = _panels(labels, "median distance of a point to its nearest (m)")
     spread = float(np.sqrt(prior_m2))
@@ -141,11 +141,11 @@ def spacing(labels: pd.DataFrame, prior_m2: float) -> Figure:
 def noise(labels: pd.DataFrame) -> Figure:
     """Draw both eigenvalues of labels against the noise of the copy, a panel for each survey and kind of copy.
 
-    `labels` is what label_study.by_noise returns.
+    `labels` is what label_numbers.by_noise returns.
     """
     figure, panels = _panels(labels, "standard deviation of the noise on each coordinate (m)")
     noises = sorted(set(labels["noise_sigma_m"]))
-    smallest = min((each for each in noises if each > 0), default=1.0)
+    smallest = min((sigma for sigma in noises if sigma > 0), default=1.0)
     for axes, rows in panels:
         _eigenvalues(axes, rows, "noise_sigma_m", "noise_sigma_m")
         axes.set_xscale("symlog", linthresh=smallest, linscale=0.5)
@@ -178,8 +178,8 @@ def _panels(labels: pd.DataFrame, label: str) -> tuple[Figure, list[tuple[Axes, 
 
 def _eigenvalues(axes: Axes, rows: pd.DataFrame, x: str, varied: str) -> None:
     for side, colour in _COLOURS.items():
-        for _, of in rows.groupby("submap", sort=False):
-            ordered = of.sort_values(varied)
+        for _, labels in rows.groupby("submap", sort=False):
+            ordered = labels.sort_values(varied)
             axes.plot(ordered[x], ordered[f"{side}_m2"], color=colour, marker=".", lw=1, alpha=0.6)
 
 

@@ -1,4 +1,4 @@
-"""What varied labels (results.VARIATIONS) say: how sure a label is by its runs, and what spacing and noise do to it."""
+"""How sure labels are: over a survey, by number of runs, and by point spacing and noise (label_table.VARIATIONS)."""
 
 from collections.abc import Iterator
 
@@ -7,14 +7,14 @@ import pandas as pd
 from scipy.special import digamma
 
 from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.covariance.label_table import CONDITIONS, RUNS
 
-RUNS, CONDITIONS = "runs", "conditions"  # as in sensitivity, which the report need not load
 SIDES = ("smaller", "larger")
 QUALITY = (  # what `quality` returns
     *("runs", "runs_min", "runs_max", "relative_error", "relative_error_q95", "bias_m", "bias_q95_m", "bias_share"),
     *("converged_share", "main_basin_share", "main_basin_share_q05", "iterations"),
 )
-_FEWEST = 3  # parts of one size whose spread means something
+_FEWEST = 3  # parts of one size: the spread of fewer says nothing
 
 
 def quality(labels: pd.DataFrame) -> dict[str, float]:
@@ -48,11 +48,14 @@ def accuracy(rows: pd.DataFrame) -> pd.DataFrame:
     quantiles over parts of KL(label of all || label of the part), nats. All are raised to what they would be against
     the truth: a part of L of the N runs shares those with the label of all, which takes L / N off its squared error.
     """
-    chosen = rows[rows["study"] == RUNS].groupby(["survey", "submap"], sort=False)
-    found = [{"survey": survey, "submap": number, **each} for (survey, number), of in chosen for each in _by_runs(of)]
-    return pd.DataFrame(
-        found, columns=["survey", "submap", "runs", "parts", "relative_error", "kl_mean", "kl_low", "kl_high"]
-    )
+    columns = ["survey", "submap", "runs", "parts", "relative_error", "kl_mean", "kl_low", "kl_high"]
+    by_submap = rows[rows["study"] == RUNS].groupby(["survey", "submap"], sort=False)
+    errors = [
+        {"survey": survey, "submap": number, **error}
+        for (survey, number), parts in by_submap
+        for error in _by_runs(parts)
+    ]
+    return pd.DataFrame(errors, columns=columns)
 
 
 def gaussian_error(runs: np.ndarray) -> np.ndarray:
@@ -85,17 +88,18 @@ def conditions(rows: pd.DataFrame) -> pd.DataFrame:
 def growth(noises: np.ndarray, values: np.ndarray) -> float | None:
     """Return the power of the noise with which values grow, from the smallest noise above 0 to the largest.
 
-    2: the noise makes them; 0: it does not matter. None with fewer than two such noises.
+    2 means that the noise alone makes the values, 0 that it does not matter. None with fewer than two such noises.
     """
-    known = np.flatnonzero(noises > 0)
-    if len(known) < 2:
+    positive = np.flatnonzero(noises > 0)
+    if len(positive) < 2:
         return None
-    low, high = known[np.argmin(noises[known])], known[np.argmax(noises[known])]
+    low, high = positive[np.argmin(noises[positive])], positive[np.argmax(noises[positive])]
     return float(np.log(values[high] / values[low]) / np.log(noises[high] / noises[low]))
 
 
-def _by_runs(of: pd.DataFrame) -> Iterator[dict[str, float]]:
-    q, runs = table.to_matrices(of)[:, :2, :2], of["runs"].to_numpy()
+def _by_runs(labels: pd.DataFrame) -> Iterator[dict[str, float]]:
+    """Yield the error of the labels of one submap by their number of runs."""
+    q, runs = table.to_matrices(labels)[:, :2, :2], labels["runs"].to_numpy()
     everything, whole = int(runs.max()), q[runs.argmax()]
     axes = np.linalg.eigh(whole)[1]
     true = np.einsum("ia,ij,ja->a", axes, whole, axes)

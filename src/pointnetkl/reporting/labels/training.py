@@ -9,12 +9,12 @@ from pointnetkl.workflow import artifacts
 
 
 def read_divergences(folders: Folders, floor_m2: float) -> dict[str, dict[str, float]]:
-    """Read the mean KL divergence (nats) of what learns, models and fits, in training and validation, at this floor.
+    """Read the mean KL divergence (nats) of models and fits in training and validation, by method, at this floor.
 
-    What was measured at another floor is left out: it does not compare.
+    A divergence at another floor cannot be compared, and is left out.
 
     Raises:
-        ResultsError: a model's are missing.
+        ResultsError: a model's summary lacks its divergences or their floor.
     """
     divergences, floors = {}, {}
     for name in folders.study.models:
@@ -23,12 +23,12 @@ def read_divergences(folders: Folders, floor_m2: float) -> dict[str, dict[str, f
         kl, floors[name] = content.get("kl"), content.get("floor_m2")
         if not isinstance(kl, dict) or not {"training", "validation"} <= set(kl) or floors[name] is None:
             raise ResultsError(f"{path}: must have kl.training, kl.validation and floor_m2; run dvc repro train@{name}")
-        divergences[name] = {which: float(kl[which]) for which in ("training", "validation")}
+        divergences[name] = {part: float(kl[part]) for part in ("training", "validation")}
     fits = artifacts.read_json(folders.models / "fits.json")
     for name, fit in fits.items():
         if isinstance(fit, dict) and "mean_kl" in fit:
             divergences[name], floors[name] = {"training": float(fit["mean_kl"])}, fits["params"]["fit"]["floor_m2"]
-    return {name: each for name, each in divergences.items() if floors[name] == floor_m2}
+    return {name: kl for name, kl in divergences.items() if floors[name] == floor_m2}
 
 
 def read_losses(folders: Folders) -> dict[str, pd.DataFrame]:

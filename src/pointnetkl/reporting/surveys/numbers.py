@@ -1,4 +1,4 @@
-"""Which surveys are simulated, and their sizes."""
+"""The sizes of surveys."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -34,8 +34,8 @@ def dataset(
 
 def area_km2(clouds: Sequence[np.ndarray], poses: pd.DataFrame, cell_m: float) -> float:
     """Return the area of the union of the submaps' footprints: cells of `cell_m` metres that hold a point."""
-    placed = (
+    clouds_in_map = (
         footprint.cells(pose.transform(pose.matrix(np.array([row.x_m, row.y_m, row.z_m]), row.yaw_rad), points), cell_m)
         for row, points in zip(poses.itertuples(), clouds, strict=True)
     )
-    return len(np.unique(np.concatenate(list(placed)))) * cell_m**2 / 1e6
+    return len(np.unique(np.concatenate(list(clouds_in_map)))) * cell_m**2 / 1e6

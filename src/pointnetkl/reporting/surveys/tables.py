@@ -24,23 +24,23 @@ _CUT = (*DROPPED, "submaps", "submaps_left_out")
 _IN_WORDS = {
     "rejected": "soundings that the sonar or its operator rejects",
     "impossible": "soundings that are impossible",
-    "outliers": "soundings that the beams about them belie",
+    "outliers": "outliers: soundings that disagree with their neighbours",
     "pings in them": "pings in ends of lines",
 }
 
 
 def read(folders: Folders) -> dict[str, dict[str, Any]]:
     """Return what stages ingest and segment counted of each survey, from their artifacts."""
-    found = {}
+    counts = {}
     for name in folders.study.surveys:
         pings, poses = folders.survey(name, "pings.parquet"), folders.product(name, "poses.parquet")
-        found[name] = {
+        counts[name] = {
             "ingest": artifacts.table_metadata(pings).get("report", {}),
             "segment": artifacts.table_metadata(poses).get("dropped", {}),
             "pings": pq.read_metadata(pings).num_rows,
             "submaps": pq.read_metadata(poses).num_rows,
         }
-    return found
+    return counts
 
 
 def every(cleaned: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
@@ -63,13 +63,13 @@ def table_1(datasets: Numbers) -> list[Block]:
     ]
 
 
-def cleaning(found: Numbers, datasets: Numbers) -> list[Block]:
-    """Return a row for each survey (of `read`); then every reason for which something was left out."""
-    rows = [{"survey": n, "simulated": datasets[n]["simulated"], **_counts(of)} for n, of in found.items()]
+def cleaning(cleaned: Numbers, datasets: Numbers) -> list[Block]:
+    """Return a row for each survey of `read`; then every reason for which something was left out."""
+    rows = [{"survey": n, "simulated": datasets[n]["simulated"], **_counts(stages)} for n, stages in cleaned.items()]
     reasons = [
-        {"survey": n, "simulated": datasets[n]["simulated"], "stage": stage, "left_out": why, "count": count}
-        for n, of in found.items()
-        for stage, why, count in _reasons(of)
+        {"survey": n, "simulated": datasets[n]["simulated"], "stage": stage, "left_out": reason, "count": count}
+        for n, stages in cleaned.items()
+        for stage, reason, count in _reasons(stages)
     ]
     return [
         block("Cleaning: what was read, left out or flagged, and cut.", rows, ["survey", "simulated", *_READ, *_CUT]),
@@ -77,25 +77,25 @@ def cleaning(found: Numbers, datasets: Numbers) -> list[Block]:
     ]
 
 
-def _counts(of: Numbers) -> dict[str, Any]:
-    """Return a survey's row; what its artifacts do not tell is not in it."""
-    report, dropped = of["ingest"], of["segment"]
+def _counts(stages: Numbers) -> dict[str, Any]:
+    """Return a survey's row, without the columns that its artifacts do not tell."""
+    report, dropped = stages["ingest"], stages["segment"]
     row = {name: report[name] for name in _READ if name in report} | dict(report.get("flagged", {}))
     if report:
-        row["pings_left_out"] = report["pings"] - of["pings"]
+        row["pings_left_out"] = report["pings"] - stages["pings"]
         row["soundings_left_out"] = report["soundings"] - report["valid"] - sum(report.get("flagged", {}).values())
-    row |= {column: dropped[why] for column, why in DROPPED.items() if why in dropped}
-    lost = sum(count for why, count in dropped.items() if why.startswith("submaps"))
-    return row | {"submaps": of["submaps"], "submaps_left_out": lost}
+    row |= {column: dropped[reason] for column, reason in DROPPED.items() if reason in dropped}
+    submaps_left_out = sum(count for reason, count in dropped.items() if reason.startswith("submaps"))
+    return row | {"submaps": stages["submaps"], "submaps_left_out": submaps_left_out}
 
 
-def _reasons(of: Numbers) -> Iterator[tuple[str, str, int]]:
-    report = of["ingest"]
+def _reasons(stages: Numbers) -> Iterator[tuple[str, str, int]]:
+    report = stages["ingest"]
     for stage, counts in (
         ("ingest", {**report.get("skipped", {}), **report.get("flagged", {})}),
-        ("segment", of["segment"]),
+        ("segment", stages["segment"]),
     ):
-        yield from ((stage, _IN_WORDS.get(why, why), count) for why, count in counts.items() if count)
+        yield from ((stage, _IN_WORDS.get(reason, reason), count) for reason, count in counts.items() if count)
 
 
 def _paper_sizes(name: str, ours: Numbers) -> dict[str, Any]:
