@@ -25,10 +25,10 @@ import submaps
 from divergence import NEAR_M, Apart, Pair
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian
+from pointnetkl.registration.covariance.gaussian import KL_FLOOR_M2
 from pointnetkl.reporting import text_table
 from pointnetkl.workflow import command, parameters
 
-KL_FLOOR_M2 = 0.01  # as wherever a KL is judged
 KL_GOAL = 1e-3
 LISTED = 40  # runs apart that are looked into
 

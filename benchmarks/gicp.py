@@ -29,11 +29,11 @@ import submaps
 from contest import Contest, Row
 from pointnetkl.methods import runtime
 from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration.covariance.gaussian import KL_FLOOR_M2
 from pointnetkl.reporting import text_table
 from pointnetkl.workflow import command, parameters
 
 LABEL_RUNS = 3000  # of the paper: what preparing a submap is shared out over
-KL_FLOOR_M2 = 0.01  # as wherever a KL is judged
 PACKAGES = ("numpy", "numba", "small_gicp", "open3d", "open3d-cpu")
 COLUMNS = (
     *("submap", "ours_ms", "small_gicp_ms", "ratio", "ours_prepared_ms", "small_gicp_prepared_ms", "ratio_prepared"),

@@ -27,7 +27,6 @@ SETS = ("training", "validation")
 def main(arguments: argparse.Namespace) -> None:
     """Train, and write everything."""
     kind, settings = read_kind(arguments.params, arguments.model)
-    judged_at_m2 = parameters.read(arguments.params, "report.kl_floor_m2", float)
     surveys = list(study.read(arguments.params).train)
     samples, voxel = dataset.read(arguments.training, surveys)
     label, registration = dataset.made_with(arguments.training, surveys)
@@ -52,7 +51,7 @@ def main(arguments: argparse.Namespace) -> None:
     traits = novelty.learn(trait_sets[0].described, trait_sets[0].survey)
     artifacts.write_bytes(arguments.weights, model_file.to_bytes(kind, model, voxel, metadata, traits))
     summary = {
-        **measure(model, sets, judged_at_m2),
+        **measure(model, sets, gaussian.KL_FLOOR_M2),
         **{"best_step": outcome.best_step, "steps": outcome.steps, "flagged": flagged(traits, trait_sets)},
         "model": describe(kind, model, voxel),
         "labels": {name: metadata[name] for name in ("label", "registration")} | {"submaps": count(samples)},

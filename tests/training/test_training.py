@@ -89,6 +89,10 @@ def test_settings_that_a_kind_of_model_does_not_use_are_refused(tmp_path: Path):
         parameters.read(path, "train", training.KINDS["mean_field"])
 
 
+def test_training_and_the_report_judge_kl_at_one_floor():
+    assert parameters.read(ROOT / "params.yaml", "report.kl_floor_m2", float) == gaussian.KL_FLOOR_M2
+
+
 def test_every_kind_of_model_has_settings():
     assert training.KINDS.keys() == model_file.KINDS.keys()
 

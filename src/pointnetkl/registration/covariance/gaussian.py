@@ -6,6 +6,9 @@ from scipy import special
 from pointnetkl.workflow.errors import PointNetKLError
 
 COVERAGES = (0.50, 0.90, 0.95, 0.99)
+# Added to label and estimate alike where a KL is judged, m^2. report.kl_floor_m2 has the same value, and is read by the
+# report alone: otherwise a change of the report would train every model again.
+KL_FLOOR_M2 = 0.01
 _ROUND = 1e-9  # anisotropy below this is rounding
 
 
