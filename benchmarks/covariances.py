@@ -36,7 +36,7 @@ def main(arguments: argparse.Namespace) -> None:
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
     known = [name for name in study.train if (folders.data / "train" / name).is_dir()]
     slopes = {name: of_survey(folders, name) for name in [*known, *judged]}
-    classes, trained = terrain.of_surveys(slopes, known, chosen.terrain_classes)
+    classes, trained = terrain.by_survey(slopes, known, chosen.terrain_classes)
     numbers = {
         "kl": {name: summary.divergences(name, of, chosen) for name, of in judged.items()},
         "calibration": {name: summary.calibrations(of) for name, of in judged.items()},

@@ -73,7 +73,7 @@ def test_unseen_is_what_no_training_submap_has_to_hold_on_to():
 
 
 def test_classes_of_training_are_those_of_its_submaps():
-    found, trained = terrain.of_surveys({"a": slopes(hills=0.1), "b": slopes(hills=0.001, wall=0.4)}, ["a"], LIMITS)
+    found, trained = terrain.by_survey({"a": slopes(hills=0.1), "b": slopes(hills=0.001, wall=0.4)}, ["a"], LIMITS)
     assert {survey: list(each) for survey, each in found.items()} == {"a": ["rugged"], "b": ["wall"]}
     assert trained == {"rugged"}
 

@@ -148,7 +148,7 @@ def _numbers(folders: Folders, read: _Artifacts, settings: Settings) -> dict[str
             "vehicle": model.vehicle if model else "unknown",
             **surveys.dataset(clouds, poses, pings, read.labels[name], read.canonical[name], cell_m),
         }
-    classes, trained = terrain.of_surveys(slopes, study.train, settings.terrain_classes)
+    classes, trained = terrain.by_survey(slopes, study.train, settings.terrain_classes)
     judged = {name: covariances.judged(read.labels[name], test) for name, test in read.tests.items()}
     kl = {name: covariances.divergences(name, each, settings) for name, each in judged.items()}
     return {

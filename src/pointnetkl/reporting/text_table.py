@@ -1,4 +1,4 @@
-"""Tables as people and programs read them: numbers to 4 digits, a dash where nothing is known, never NaN."""
+"""Tables for people and for programs: numbers to 4 digits, a dash where a value is not known, never NaN."""
 
 import html
 import math
@@ -15,7 +15,7 @@ UNKNOWN = "—"
 
 @dataclass(frozen=True)
 class Block:
-    """One table: what it shows, and rows of numbers and text; None where nothing is known."""
+    """One table: its caption, and rows of numbers and text; None where a value is not known."""
 
     caption: str
     frame: pd.DataFrame
@@ -51,7 +51,7 @@ def by_method(numbers: Numbers, datasets: Numbers) -> Iterator[dict[str, Any]]:
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
-    """Return a number to so many significant digits, None for NaN and infinity; containers are gone through."""
+    """Return numbers to so many significant digits, in nested containers too; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {key: rounded(inner, digits) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -62,7 +62,7 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 
 
 def cell(value: Any, digits: int = DIGITS) -> str:
-    """Return a value as a reader wants it: so many significant digits, no exponent where it can be helped."""
+    """Return a value as text: so many significant digits, and an exponent only for numbers below 1e-4."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
@@ -76,7 +76,7 @@ def cell(value: Any, digits: int = DIGITS) -> str:
 
 
 def csv(frame: pd.DataFrame) -> str:
-    """Return a table as CSV: numbers rounded, an empty field where nothing is known."""
+    """Return a table as CSV: numbers rounded, an empty field where a value is not known."""
     values = {name: [rounded(v, _digits(name)) for v in frame[name]] for name in frame.columns}
     return str(pd.DataFrame(values, dtype=object).to_csv(index=False, lineterminator="\n"))
 

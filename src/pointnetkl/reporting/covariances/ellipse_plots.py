@@ -1,4 +1,4 @@
-"""Submaps with the 95 % ellipses of their labels and of what methods said: seabed above or beside, all to scale."""
+"""Submaps with the 95 % ellipses of their labels and of methods, to scale, with the seabed above or beside them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from pointnetkl.reporting.drawing import families, plots
 from pointnetkl.reporting.drawing.relief import Relief
 
 _CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 72, endpoint=False)), np.sin(t)])
-_WIDEST = 8.0  # times the label's ellipse, that a gallery's frame spans: a larger Q would make all others dots
-_DOT_IN = 0.02  # an ellipse no larger is drawn as a dot, or nobody would see it
+_WIDEST = 8.0  # times the label's ellipse: a gallery's frame spans no more, or a large Q would make the others dots
+_DOT_IN = 0.02  # a smaller ellipse is drawn as a dot, or it could not be seen
 _TEXT_PT, _LINE_IN, _BAR_IN = 8.0, 0.155, 0.22  # text, a line of it, the strip of a scale bar
 
 
@@ -87,7 +87,7 @@ def boundary(q: np.ndarray) -> np.ndarray:
 
 
 def _standing(page: Axes, case: Case, box: _Box) -> None:
-    """Draw a case from top to bottom: seabed, ellipses, and what each method's divergence is."""
+    """Draw a case from top to bottom: seabed, ellipses, and the divergence of each method."""
     left, top, width = box.left, box.top, box.width
     _text(page, left, top, f"submap {case.submap}")
     _map(page, case.seabed, _Box(left, top + 0.2, width, 1.15))
@@ -96,8 +96,8 @@ def _standing(page: Axes, case: Case, box: _Box) -> None:
     _ellipses(page, case, _Box(left, top + 1.4, width, 1.5), min(reach, widest))
     _text(page, left, top + 2.95, f"label: σ {sigmas(case.label)}", families.GOLD.colour)
     for i, (method, q) in enumerate(case.covariances.items(), 1):
-        said = f"{method}: {_nats(case.kl[method])} nats{', beyond' if _reach(q) > widest else ''}"
-        _text(page, left, top + 2.95 + _LINE_IN * i, said, families.style(method).colour)
+        line = f"{method}: {_nats(case.kl[method])} nats{', beyond' if _reach(q) > widest else ''}"
+        _text(page, left, top + 2.95 + _LINE_IN * i, line, families.style(method).colour)
 
 
 def _ellipses(page: Axes, case: Case, box: _Box, reach: float) -> None:
@@ -140,7 +140,7 @@ def _scale(page: Axes, left: float, top: float, metre: float, longest: float, mo
 
 
 def _key(page: Axes, methods: Sequence[str], top: float) -> None:
-    """Write at the right which colour is whose."""
+    """Write at the right which colour is of which ellipse."""
     names = [("95 % ellipse of the label", families.GOLD.colour)]
     names += [(f"of {name}", families.style(name).colour) for name in methods]
     left = plots.WIDTH_IN - sum(0.55 + 0.065 * len(name) for name, _ in names)

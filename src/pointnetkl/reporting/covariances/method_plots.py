@@ -13,17 +13,17 @@ from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import paper, text_table
 from pointnetkl.reporting.drawing import families, plots, sheet
 
-_NEES = (0.25, 4.0)  # shown; what lies beyond stands at the border, its number beside it
+_NEES = (0.25, 4.0)  # shown; a value beyond is drawn at the border with its number
 _GOOD_NEES = (0.85, 1.15)  # shaded
-_REFERENCES = ("navigation", "corrupted", "gt")  # rows of the SLAM table that no covariance made
-_FAR = 4.0  # times what most differences stay below, that is drawn
+_REFERENCES = ("navigation", "corrupted", "gt")  # rows of the SLAM table that are of no covariance
+_FAR = 4.0  # of the axis, in multiples of what most differences stay below
 _MEASURES = {
     "truth_rmse_xyz_m": "not aligned",
     "truth_rmse_se2_m": "aligned (SE(2))",
     "truth_relative_m": "pairs that closures join",
 }
 _LETTERS = 112  # that fit side by side across the panels of a figure
-_GOAL = 0.95  # of the ellipse that coverage is drawn of
+_GOAL = 0.95  # nominal coverage of the ellipses that are drawn
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ def divergence(kl: pd.DataFrame) -> Figure:
         panel.axes.set_xscale("log")
         _whiskers(panel)
         _points(panel, "mean")
-        known = panel.rows["paper"].notna().to_numpy()
-        panel.axes.plot(panel.rows["paper"][known], panel.heights[known], "o", mfc="none", mec="black", ms=9)
+        published = panel.rows["paper"].notna().to_numpy()
+        panel.axes.plot(panel.rows["paper"][published], panel.heights[published], "o", mfc="none", mec="black", ms=9)
         plots.plain_log(panel.axes, "x")
     figure.supxlabel(
         "mean KL(label || Q) and 95 % interval (nats); ring: the paper's, on its own data\n"
@@ -118,12 +118,12 @@ def slam_differences(differences: pd.DataFrame) -> Figure:
     order = _order(relative, -relative["difference_m"].astype(float))
     figure, grid = _grid(differences, order, len(_MEASURES))
     surveys = differences["survey"].unique()
-    for line, (measure, said) in zip(grid, _MEASURES.items(), strict=True):
+    for line, (measure, title) in zip(grid, _MEASURES.items(), strict=True):
         rows = differences[differences["measure"] == measure]
-        known = rows["survey"].unique()  # without loop closures there are no pairs
-        for panel in _panels(rows, order, [axes for name, axes in zip(surveys, line, strict=True) if name in known]):
+        measured = rows["survey"].unique()  # without loop closures there are no pairs
+        for panel in _panels(rows, order, [axes for name, axes in zip(surveys, line, strict=True) if name in measured]):
             _differences(panel)
-            panel.axes.set_title(f"{paper.title(panel.survey)}: {said}", fontsize=9)
+            panel.axes.set_title(f"{paper.title(panel.survey)}: {title}", fontsize=9)
             panel.axes.set_xlabel(f"network's {panel.rows['network_m'].iloc[0]:.4g} less the method's (m)", fontsize=9)
     families.legend(figure, order)
     return figure
@@ -209,11 +209,11 @@ def _nees(panel: _Panel) -> None:
     values = panel.rows["nees"].astype(float)
     _points(replace(panel, rows=panel.rows.assign(nees=values.clip(low, high))), "nees")
     for value, height in zip(values, panel.heights, strict=True):
-        said = _short(value)
+        number = _short(value)
         if value > high:
-            panel.axes.annotate(f"{said} →", (high / 1.15, height), fontsize=8, ha="right", va="center")
+            panel.axes.annotate(f"{number} →", (high / 1.15, height), fontsize=8, ha="right", va="center")
         elif value < low:
-            panel.axes.annotate(f"← {said}", (low * 1.15, height), fontsize=8, ha="left", va="center")
+            panel.axes.annotate(f"← {number}", (low * 1.15, height), fontsize=8, ha="left", va="center")
     panel.axes.axvspan(*_GOOD_NEES, color=plots.GREY, alpha=0.2, linewidth=0)
     panel.axes.set(xscale="log", xlim=(low / 1.1, high * 1.1))
     plots.plain_log(panel.axes, "x")
@@ -221,8 +221,8 @@ def _nees(panel: _Panel) -> None:
 
 
 def _short(value: float) -> str:
-    said = text_table.cell(value, 2) if value < 1000 else f"{value:.0e}"
-    return said.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
+    number = text_table.cell(value, 2) if value < 1000 else f"{value:.0e}"
+    return number.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
 def _gold_line(panel: _Panel) -> None:
@@ -232,9 +232,9 @@ def _gold_line(panel: _Panel) -> None:
 
 
 def _reference_lines(references: pd.DataFrame) -> Iterator[str]:
-    """Yield what a panel's title says of trajectories that no covariance made, metres."""
+    """Yield the lines of a panel's title on trajectories that are of no covariance, metres."""
     against = {"rmse_xyz_m": "", "truth_rmse_xyz_m": "truth "}
     for _, row in references.iterrows():
-        said = [f"{word}{text_table.cell(row[name], 3)} m" for name, word in against.items() if pd.notna(row[name])]
-        if said:
-            yield f"{row['method']}: {', '.join(said)}"
+        errors = [f"{word}{text_table.cell(row[name], 3)} m" for name, word in against.items() if pd.notna(row[name])]
+        if errors:
+            yield f"{row['method']}: {', '.join(errors)}"

@@ -1,4 +1,4 @@
-"""Accuracy against time: the Pareto front, with every method's name where no other one is."""
+"""Accuracy against time: the Pareto front, with every method's name where it covers no other."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.drawing import families, plots
 
-_FASTEST_S = 1e-4  # what is faster stands here: nobody needs to tell microseconds apart
+_FASTEST_S = 1e-4  # faster methods are drawn here: microseconds need not be told apart
 _NAME_PT = 8.0
 _DISTANCES_PT = (5.0, 12.0, 20.0, 30.0, 42.0, 56.0, 72.0)  # of a name from its point: the nearest free place is taken
 _DIRECTIONS = np.arange(16) * np.pi / 8
@@ -31,7 +31,7 @@ def accuracy_time(kl: pd.DataFrame, seconds: Mapping[str, float]) -> Figure:
     grid = figure.subplots(max(1, len(surveys)), 1, squeeze=False, sharex=True).ravel()
     gold = {name: max(seconds[name], _FASTEST_S) for name in (catalogue.MONTE_CARLO,) if name in seconds}
     rows = [timed[timed["survey"] == name] for name in surveys]
-    named = [_panel(axes, each, seconds, gold) for axes, each in zip(grid, rows, strict=False)]
+    named = [_panel(axes, survey_rows, seconds, gold) for axes, survey_rows in zip(grid, rows, strict=False)]
     grid[-1].set_xlabel(f"time per submap, one thread (s); leftmost: {1e6 * _FASTEST_S:g} µs or less")
     families.legend(figure, [*gold, *timed["method"]])
     # names are placed last: where they fit is known only once the layout stands

@@ -1,4 +1,4 @@
-"""Does an ellipse hold as many errors as it says? Nominal against observed coverage, at every level."""
+"""Nominal against observed coverage of ellipses, at every level."""
 
 from collections.abc import Mapping, Sequence
 
@@ -35,7 +35,7 @@ def coverage(
 def reliability(table: pd.DataFrame) -> Figure:
     """Draw observed against nominal coverage of each method's ellipses, a panel for each survey.
 
-    `table` has the columns of `coverage`. Below the diagonal a method is too sure of itself.
+    `table` has the columns of `coverage`. Below the diagonal a method is overconfident.
     """
     if table.empty:
         return sheet.no_held_out()

@@ -45,7 +45,7 @@ def split(numbers: Numbers, datasets: Numbers) -> dict[str, list[Block]]:
 def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
     """Return Table II: mean KL divergence (nats) of every method in training, validation and on each test survey.
 
-    `training` has what is known of methods that learn, {method: {"training": ..., "validation": ...}}, nats.
+    `training` has the divergences of methods that learn, {method: {"training": ..., "validation": ...}}, nats.
     """
     surveys = [name for name in kl if name in datasets]
     methods = dict.fromkeys(method for name in surveys for method in kl[name])
@@ -58,8 +58,8 @@ def table_2(kl: Numbers, datasets: Numbers, training: Numbers) -> list[Block]:
         for method in methods
     ]
     # decimals are written as they are: the paper's numbers as it prints them
-    known = {heading(n, datasets) if n in datasets else n: Decimal(str(value)) for n, value in paper.KL.items()}
-    rows.append({"method": "pointnetkl, the paper", **known})
+    printed = {heading(n, datasets) if n in datasets else n: Decimal(str(value)) for n, value in paper.KL.items()}
+    rows.append({"method": "pointnetkl, the paper", **printed})
     caption = "Table II. Mean KL divergence by method, nats; training: cello's by left-out blocks, others in sample."
     columns = ["method", "training", "validation", *(heading(name, datasets) for name in surveys)]
     return [block(caption, rows, columns)]
@@ -82,8 +82,8 @@ def calibrations(calibration: Numbers, datasets: Numbers) -> Block:
 
 
 def table_3(runtime: Numbers, methods: Collection[str] = ()) -> list[Block]:
-    """Return Table III: seconds per submap of `methods` and whatever else was timed, the paper's beside."""
-    times = {name: of for name, of in runtime.items() if isinstance(of, Mapping) and "mean_s" in of}
+    """Return Table III: seconds per submap of `methods` and of all others that were timed, the paper's beside."""
+    times = {name: time for name, time in runtime.items() if isinstance(time, Mapping) and "mean_s" in time}
     gold = times.get(GOLD, {}).get("mean_s")
     rows = [
         {
@@ -100,9 +100,9 @@ def table_3(runtime: Numbers, methods: Collection[str] = ()) -> list[Block]:
 
 
 def machine(runtime: Numbers) -> str:
-    """Return the machine that the times are of, and how many submaps, points and label runs, in words."""
+    """Return in words where the times were measured, on how many submaps and points, and with how many label runs."""
     named = dict(runtime.get("machine", {}))
-    timed = named.pop("params", {})  # what was timed
+    timed = named.pop("params", {})
     kept = {key: timed[key] for key in ("submaps", "points", "runs") if key in timed}
     return ", ".join(f"{key} {value}" for key, value in (named | kept).items())
 
