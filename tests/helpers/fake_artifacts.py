@@ -85,8 +85,14 @@ def _simulation(name: str) -> dict[str, object]:
         terrain["wall"] = {"height_m": 30.0, "width_m": 30.0, "azimuth_deg": 0.0, "offset_m": 165.0}
     layout = {"lines": 3, "line_length_m": 360.0, "line_spacing_m": 50.0, "start_jitter_m": 0.0, "repeat_m": 0.0}
     place = {"crs": CRS, "centre_m": [0.0, 0.0], "layout": {**layout, "azimuth_deg": 0.0}, "altitude_m": 20.0}
-    how = {"seed": len(name), "vehicle": "hugin", "grid": "data/none", "ping_spacing_m": 2.0, "beam_spacing_m": 2.0}
-    return {**how, **place, "terrain": terrain}
+    settings = {
+        "seed": len(name),
+        "vehicle": "hugin",
+        "grid": "data/none",
+        "ping_spacing_m": 2.0,
+        "beam_spacing_m": 2.0,
+    }
+    return {**settings, **place, "terrain": terrain}
 
 
 def _group(name: str) -> str:
@@ -242,8 +248,8 @@ def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
     rows = pd.DataFrame(rng.random((len(submaps), len(closure_tables.CLOSURES))), columns=closure_tables.CLOSURES.names)
     errors = {"error": 2 * placed, "gt_error": 1.5 * placed, "placed_error": placed}
     columns = {f"{kind}_{axis}_m": e[:, i] for kind, e in errors.items() for i, axis in enumerate("xy")}
-    which = {"draw": np.repeat(range(DRAWS), len(sources)), "submap": submaps, "targets": 1, "converged": True}
-    table_ = rows.assign(survey=fake.name, **which, **columns)
+    index = {"draw": np.repeat(range(DRAWS), len(sources)), "submap": submaps, "targets": 1, "converged": True}
+    table_ = rows.assign(survey=fake.name, **index, **columns)
     artifacts.write_table(folder / "closures.parquet", table_, closure_tables.CLOSURES, {})
     covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
     covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
@@ -282,12 +288,12 @@ def _write_robustness(folder: Path, fake: Fake, closures: int) -> None:
             for method, share, repetition in itertools.product(METHODS[:3], shares, (0, 1)):
                 failed = kernel == "plain" and repetition == 1
                 error = np.nan if failed else 5 * np.exp(growth * share) + rng.uniform(0, 1)
-                which = {"survey": fake.name, "kernel": kernel, "start": start, "method": method, "share": share}
+                condition = {"survey": fake.name, "kernel": kernel, "start": start, "method": method, "share": share}
                 false = round(closures * share / (1 - share))
                 counts = {"true_closures": closures, "false_closures": false, "draw": 0, "repetition": repetition}
                 errors = {"rmse_xyz_m": error, "truth_rmse_xyz_m": error if closures else np.nan, "failed": failed}
                 accepted = {"accepted_true": 0.9 * closures, "accepted_false": float(false if kernel == "plain" else 0)}
-                rows.append({**which, **counts, **errors, **({} if failed else accepted)})
+                rows.append({**condition, **counts, **errors, **({} if failed else accepted)})
     table_ = pd.DataFrame(rows).reindex(columns=robust_tables.ROWS.names)
     artifacts.write_table(folder / f"{fake.name}.parquet", table_, robust_tables.ROWS, {})
     gate = {"joined": closures, "covering": 14.0 if closures else np.nan, "both": 12.0 if closures else np.nan}
@@ -295,9 +301,9 @@ def _write_robustness(folder: Path, fake: Fake, closures: int) -> None:
     artifacts.write_table(folder / f"{fake.name}_gate.parquet", gates, robust_tables.GATE, {})
 
 
-def _write_maps(folder: Path, fake: Fake, which: list[str], rng: np.random.Generator) -> None:
-    column, row = (each.ravel() for each in np.meshgrid(np.arange(8), np.arange(-2, 3)))
-    cells = {name: Cells(column, row, rng.gamma(4, 1, len(row))) for name in which}
+def _write_maps(folder: Path, fake: Fake, names: list[str], rng: np.random.Generator) -> None:
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(8), np.arange(-2, 3)))
+    cells = {name: Cells(column, row, rng.gamma(4, 1, len(row))) for name in names}
     frame = consistency_map.Frame((650_000.0, 6_450_000.0), CRS, 15.0)
     consistency_map.write(folder / f"{fake.name}_consistency.tif", cells, frame, {})
     errors = {"cells": 40, "map_to_map_m": 4.0, "both_thinned_m": np.linspace(4, 8, 4)}
@@ -314,9 +320,9 @@ def _runs(method: str) -> list[tuple[str, int, int]]:
     return [*table_, *shared, *(("authors", draw, i) for _, draw, i in table_)] if method in protocol.FEW else table_
 
 
-def _trajectory(fake: Fake, which: str, xyz: np.ndarray) -> pd.DataFrame:
+def _trajectory(fake: Fake, kind: str, xyz: np.ndarray) -> pd.DataFrame:
     columns = dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True))
-    return pd.DataFrame({"survey": fake.name, "which": which, "submap": range(len(xyz)), "yaw_rad": 0.0, **columns})
+    return pd.DataFrame({"survey": fake.name, "which": kind, "submap": range(len(xyz)), "yaw_rad": 0.0, **columns})
 
 
 def _write_training(root: Path) -> None:

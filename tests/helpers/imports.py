@@ -81,12 +81,12 @@ def room(module: Path) -> str:
 
 def arrows(files: Iterable[Path], depth: int = 9) -> dict[str, set[str]]:
     """Return the rooms that each room of some modules imports, itself left out; rooms deeper than `depth` in one."""
-    found: dict[str, set[str]] = {}
+    rooms: dict[str, set[str]] = {}
     for file in files:
         others = {_cut(room(module), depth) for module in named(file) if holds_code(module)}
         name = _cut(room(file), depth)
-        found.setdefault(name, set()).update(others - {name})
-    return found
+        rooms.setdefault(name, set()).update(others - {name})
+    return rooms
 
 
 def _cut(room: str, depth: int) -> str:

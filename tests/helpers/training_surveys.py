@@ -20,7 +20,7 @@ def write(folder: Path, name: str, count: int = 20, edge: float = 0.01, first: i
     numbers = list(range(first, first + count))
     submaps = [submap.Submap(name, i, *3 * [c.points * c.radius]) for i, c in zip(numbers, clouds, strict=True)]
     artifacts.write_table(folder / name / "submaps.parquet", submap.to_table(submaps), submap.POINTS, {})
-    made = {"survey": name, "params": {"voxelise": {"voxel": edge}}}
-    artifacts.write_arrays(folder / name / "clouds.npz", voxel.Clouds.join(numbers, clouds).to_arrays(), made)
+    metadata = {"survey": name, "params": {"voxelise": {"voxel": edge}}}
+    artifacts.write_arrays(folder / name / "clouds.npz", voxel.Clouds.join(numbers, clouds).to_arrays(), metadata)
     labels = pd.DataFrame({"submap": numbers, "q_xx_m2": 2.0, "q_xy_m2": 0.1, "q_yy_m2": np.arange(count) + 1.0})
     artifacts.write_table(folder / name / "labels.parquet", labels, dataset.LABEL, MADE_WITH)

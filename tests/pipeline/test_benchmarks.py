@@ -22,37 +22,37 @@ def run(script: str, *options: str) -> subprocess.CompletedProcess[str]:
 def last_line(script: str, *options: str) -> dict[str, Any]:
     result = run(script, *SMALL, "--json", *options)
     assert result.returncode == 0, result.stderr
-    found: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
-    return found
+    numbers: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
+    return numbers
 
 
 def test_the_race_with_small_gicp_ends_in_its_numbers() -> None:
     pytest.importorskip("small_gicp")
-    found = last_line("gicp", "--runs", "4", "--repetitions", "2", "--terrain", "rugged")
+    numbers = last_line("gicp", "--runs", "4", "--repetitions", "2", "--terrain", "rugged")
     for name in ("ours_ms", "small_gicp_ms", "ratio", "ratio_prepared", "ours_prepare_once_ms", "ours_yaw_ms"):
-        assert found[name] > 0
-    assert found["small_gicp_prepared_ms"] < found["small_gicp_ms"]
-    assert found["ratio_range"][0] <= found["ratio"] <= found["ratio_range"][1]
-    assert [row["submap"] for row in found["submaps"]] == ["borno_8 rugged", "thwaites_11 rugged"]
+        assert numbers[name] > 0
+    assert numbers["small_gicp_prepared_ms"] < numbers["small_gicp_ms"]
+    assert numbers["ratio_range"][0] <= numbers["ratio"] <= numbers["ratio_range"][1]
+    assert [row["submap"] for row in numbers["submaps"]] == ["borno_8 rugged", "thwaites_11 rugged"]
     # the same noise on both can only bring two distributions closer
-    assert 0 <= found["kl_between_covariances"] <= found["kl_between_covariances_floor0"]
-    assert found["versions"]["small_gicp"]
+    assert 0 <= numbers["kl_between_covariances"] <= numbers["kl_between_covariances_floor0"]
+    assert numbers["versions"]["small_gicp"]
 
 
 @pytest.mark.parametrize("copy", ["same", "split"])
 def test_the_kernel_has_the_references_answer_on_simulated_ground(copy: str) -> None:
     options = ("--submaps", "4", "--runs", "10", "--production-runs", "12", "--copy", copy)
-    found = last_line("agreement", *options)
-    assert found["share_within_1mm"] >= 0.99
-    assert found["kl_largest_floor0"] < 1e-3
-    assert found["submaps_within_kl_goal"] == len(found["submaps"]) == 4
-    assert found["runs_apart"] == len(found["apart"])
+    numbers = last_line("agreement", *options)
+    assert numbers["share_within_1mm"] >= 0.99
+    assert numbers["kl_largest_floor0"] < 1e-3
+    assert numbers["submaps_within_kl_goal"] == len(numbers["submaps"]) == 4
+    assert numbers["runs_apart"] == len(numbers["apart"])
 
 
 def test_the_gain_of_a_second_worker_ends_in_its_numbers() -> None:
-    found = last_line("scaling", "--submaps", "2", "--runs", "10", "--repetitions", "1")
-    assert found["workers"] == 2
-    assert found["efficiency"] == pytest.approx(found["seconds_one"] / (2 * found["seconds_many"]), rel=1e-3)
+    numbers = last_line("scaling", "--submaps", "2", "--runs", "10", "--repetitions", "1")
+    assert numbers["workers"] == 2
+    assert numbers["efficiency"] == pytest.approx(numbers["seconds_one"] / (2 * numbers["seconds_many"]), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_a_stage_depends_on_its_script_and_on_every_module_that_it_imports(stage
 @pytest.mark.parametrize("stage", SCRIPTS)
 def test_a_stage_depends_on_no_folder_or_module_of_which_it_uses_nothing(stage: str):
     used = closure(SCRIPTS[stage])
-    unused = [str(path.relative_to(ROOT)) for path in library(stage) if not any(holds(path, one) for one in used)]
+    unused = [str(path.relative_to(ROOT)) for path in library(stage) if not any(holds(path, module) for module in used)]
     assert not unused, f"take these from the deps of {stage} in dvc.yaml, it imports nothing of them: {unused}"
 
 
@@ -82,8 +82,8 @@ def downstream(first: set[str]) -> set[str]:
     """Return the stages that run again when the given ones make something else."""
     reached = set(first)
     while True:
-        made = [out for name in reached for out in outs(name)]
-        more = {name for name in STAGES if name not in reached and any(reads(name, out) for out in made)}
+        products = [out for name in reached for out in outs(name)]
+        more = {name for name in STAGES if name not in reached and any(reads(name, out) for out in products)}
         if not more:
             return reached
         reached |= more

@@ -111,14 +111,14 @@ def test_a_kind_of_model_that_there_is_not(parameters: Path, tmp_path: Path):
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the graph, submaps and covariances of survey toy, and those of a survey of as many submaps."""
-    folder, (submaps, made) = tmp_path_factory.mktemp("toy"), graph()
+    folder, (submaps, toy_graph) = tmp_path_factory.mktemp("toy"), graph()
     made_with = {"graph": {"cell_factor": 5.0, "coverage": 0.6}}
-    artifacts.write_arrays(folder / "toy.npz", survey_graph.to_arrays(made), made_with)
-    artifacts.write_arrays(folder / "bare.npz", survey_graph.to_arrays(made), {})
+    artifacts.write_arrays(folder / "toy.npz", survey_graph.to_arrays(toy_graph), made_with)
+    artifacts.write_arrays(folder / "bare.npz", survey_graph.to_arrays(toy_graph), {})
     for name in ("toy", "other"):
         sampling = {"survey": name, "kind": "pings", "spacing_m": 0.8}
         artifacts.write_table(folder / f"{name}.parquet", submap.to_table(submaps), submap.POINTS, sampling)
-        rows = table.from_matrices(name, "network", made.number, np.tile(np.eye(2), (len(made.number), 1, 1)))
+        rows = table.from_matrices(name, "network", toy_graph.number, np.tile(np.eye(2), (len(toy_graph.number), 1, 1)))
         artifacts.write_table(folder / f"{name}_q.parquet", rows, table.SCHEMA, {"survey": name})
     return folder
 

@@ -34,22 +34,22 @@ METHODS = ("monte_carlo", "network", "structure_tensor", "constant", "naive_gicp
 def test_a_graph_without_a_track_has_nodes_and_no_edge_and_comes_back_from_its_file(tmp_path: Path, dof: str):
     submaps, poses = sail(2, 3)
     registration = dataclasses.replace(REGISTRATION, dof=dof)
-    made = graph_construction.without_track("toy", submaps, poses, SPACING, SETTINGS, registration)
-    artifacts.write_arrays(tmp_path / "toy.npz", survey_graph.to_arrays(made), {})
+    nodes_only = graph_construction.without_track("toy", submaps, poses, SPACING, SETTINGS, registration)
+    artifacts.write_arrays(tmp_path / "toy.npz", survey_graph.to_arrays(nodes_only), {})
     again = graph_file.read(tmp_path / "toy.npz", "toy", registration.dimensions).graph
     assert not again.track
     assert np.array_equal(again.gt, poses)
     assert np.isnan(again.truth).all()
-    assert [len(each.edges.source) for each in again.draws] == [0] * SETTINGS.draws
-    told = survey_graph.summary(again)
-    assert (told["submaps"], told["dead_reckoning_edges"], told["loop_closures"]) == (6, 0, 0)
+    assert [len(draw.edges.source) for draw in again.draws] == [0] * SETTINGS.draws
+    summary = survey_graph.summary(again)
+    assert (summary["submaps"], summary["dead_reckoning_edges"], summary["loop_closures"]) == (6, 0, 0)
 
 
 def test_a_graph_of_a_track_says_nothing_of_it():
     submaps, poses = sail(2, 3)
-    made = graph_construction.without_track("toy", submaps, poses, SPACING, SETTINGS, REGISTRATION)
-    assert "track" in survey_graph.to_arrays(made)
-    assert "track" not in survey_graph.to_arrays(dataclasses.replace(made, track=True))
+    nodes_only = graph_construction.without_track("toy", submaps, poses, SPACING, SETTINGS, REGISTRATION)
+    assert "track" in survey_graph.to_arrays(nodes_only)
+    assert "track" not in survey_graph.to_arrays(dataclasses.replace(nodes_only, track=True))
 
 
 def run(name: str, folder: Path, **files: str) -> None:
@@ -64,7 +64,7 @@ def run(name: str, folder: Path, **files: str) -> None:
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what stages graph, slam and stress make of tiles."""
     folder, (submaps, T) = tmp_path_factory.mktemp("tiles"), sail(2, 3)
-    numbers = [one.number for one in submaps]
+    numbers = [piece.number for piece in submaps]
     q = np.broadcast_to(0.1 * np.eye(2), (len(submaps), 2, 2))
     poses = pd.DataFrame({"submap": numbers, "x_m": T[:, 0, 3], "y_m": T[:, 1, 3], "z_m": T[:, 2, 3]})
     poses = poses.assign(time_s=np.nan, yaw_rad=0.0, track_m=30.0, pings=0, soundings=900, line=0)
@@ -97,8 +97,8 @@ def test_slam_and_stress_write_tables_of_no_rows(solved: Path):
     assert artifacts.read_table(solved / "map_thinning.parquet", consistency_tables.THINNING).empty
     assert artifacts.read_table(solved / "robust.parquet", robust_tables.ROWS).empty
     assert artifacts.read_table(solved / "gate.parquet", robust_tables.GATE).empty
-    found = consistency_map.read(solved / "map.tif", ["no track"])
-    assert np.isnan(found.errors["no track"]).all()
+    grid = consistency_map.read(solved / "map.tif", ["no track"])
+    assert np.isnan(grid.errors["no track"]).all()
 
 
 def test_a_graph_without_a_track_cannot_be_exported(solved: Path):
@@ -133,16 +133,16 @@ def test_a_report_has_every_row_of_tiles_but_those_of_slam(tmp_path: Path):
     lose_track(tmp_path, "mine")  # of which no loop closures are known
     params = tmp_path / "params.yaml"
     folders = results.Folders(tmp_path / "data", tmp_path / "models", tmp_path / "reports", study.read(params))
-    made = report.make(folders, parameters.read(params, "report", results.Settings))
-    numbers = json.loads(made.files["metrics.json"])
+    page = report.make(folders, parameters.read(params, "report", results.Settings))
+    numbers = json.loads(page.files["metrics.json"])
     assert numbers["slam"]["mine"] == {"dead_reckoning_edges": 0, "loop_closures": 0}
     assert numbers["kl"]["mine"]["network"]["mean"] >= 0
     assert numbers["calibration"]["mine"]["network"]["nees"] > 0
     assert "track_km" not in numbers["datasets"]["mine"]
-    rows = [line for line in made.files["tables/table_4.md"].decode().splitlines() if line.startswith("| mine")]
+    rows = [line for line in page.files["tables/table_4.md"].decode().splitlines() if line.startswith("| mine")]
     assert [cell.strip() for cell in rows[0].split("|")[3:6]] == ["—", "0", "0"]
-    assert "They have no track, and so no SLAM: mine." in made.files["index.html"].decode()
-    assert "mine: SLAM error against GT, m: no track, no SLAM" in made.lines
+    assert "They have no track, and so no SLAM: mine." in page.files["index.html"].decode()
+    assert "mine: SLAM error against GT, m: no track, no SLAM" in page.lines
 
 
 def test_where_no_survey_has_a_track_every_figure_says_so():
