@@ -70,6 +70,7 @@ def copy(root: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(root, tmp_path / "copy"))
 
 
+@pytest.mark.slow
 def test_the_same_artifacts_give_the_same_bytes_whatever_the_run_times(copy: Path, made: report.Report):
     times = artifacts.read_json(copy / "reports/runtime.json")
     slower = {name: {"mean_s": 5.0, "std_s": 1.0} for name in ("pointnetkl", "monte_carlo")}
@@ -175,6 +176,7 @@ def test_a_survey_that_nobody_simulated_is_judged_by_its_points(numbers: dict[st
     assert sum(each["submaps"] for each in numbers["terrain"]["mine"].values()) == 18
 
 
+@pytest.mark.slow
 def test_what_was_trained_at_another_floor_is_left_out_of_table_2(made: report.Report, copy: Path):
     def row(method: str, files: Mapping[str, bytes]) -> pd.Series:
         return pd.read_csv(io.BytesIO(files["tables/table_2.csv"])).set_index("method").loc[method]
