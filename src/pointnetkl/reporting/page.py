@@ -99,9 +99,9 @@ def this_machine(machine: str) -> bytes:
 
 
 def _measured(measured: Measured) -> str:
-    said = _text(f"{measured.times} was measured on {measured.machine}. {measured.again}")
+    statement = _text(f"{measured.times} was measured on {measured.machine}. {measured.again}")
     data = f'data-times="{html.escape(measured.times)}" data-measured-on="{html.escape(measured.machine)}"'
-    return f'<p>{said}</p>\n<p class="note" {data} hidden></p>'
+    return f'<p>{statement}</p>\n<p class="note" {data} hidden></p>'
 
 
 def _figure(png: bytes, caption: str) -> str:

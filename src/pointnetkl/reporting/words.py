@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting.closures import words as closures
 from pointnetkl.reporting.covariances import words as covariances
 from pointnetkl.reporting.labels import words as labels
@@ -13,13 +14,20 @@ from pointnetkl.reporting.surveys import words as surveys
 from pointnetkl.reporting.text_table import Blocks, Numbers, cell
 from pointnetkl.workflow.study import Study
 
+# The methods of the lines that the stage prints
+_RIVALS = (
+    *(catalogue.NETWORK, catalogue.POINTNETKL, catalogue.STRUCTURE_TENSOR, catalogue.CELLO),
+    *(catalogue.CONSTANT_TRAIN, catalogue.NAIVE_GICP),
+)
+_SOLUTIONS = ("corrupted", catalogue.MONTE_CARLO, catalogue.POINTNETKL, catalogue.CONSTANT, catalogue.NAIVE_GICP)
+
 
 def lead(study: Study, datasets: Numbers, of_labels: Mapping[str, Labels], tests: Mapping[str, Test]) -> list[str]:
     """Return the page's first paragraphs: what it is, of what size, and what in it is simulated."""
-    points = [each["points_mean"] for each in datasets.values()]
+    points = [dataset["points_mean"] for dataset in datasets.values()]
     runs = [line.label_runs for line in study.surveys.values()]
     repetitions = max(int(test.slam["repetition"].max()) + 1 if test.track else 0 for test in tests.values())
-    simulated = [name for name, each in datasets.items() if each["simulated"]]
+    simulated = [name for name, dataset in datasets.items() if dataset["simulated"]]
     copy, noise = (next(iter(of_labels.values())).parameters["label"][name] for name in ("copy", "noise_sigma_m"))
     return [
         "How uncertain is a registration of two pieces of seabed? Each table and figure compares methods that estimate"
@@ -59,14 +67,11 @@ def comparison(numbers: Numbers) -> list[str]:
     lines = []
     for survey, errors in numbers["slam"].items():
         simulated = " (simulated)" if numbers["datasets"][survey]["simulated"] else ""
-        rivals = ("network", "pointnetkl", "structure_tensor", "cello", "constant_train", "naive_gicp")
-        kl = _list(numbers["kl"][survey], rivals, "mean")
-        methods = ("corrupted", "monte_carlo", "pointnetkl", "constant", "naive_gicp")
-        lines.append(f"{survey}{simulated}: mean KL, nats: {kl}")
-        against_gt = _list(errors, methods, "rmse_xyz_m")
+        lines.append(f"{survey}{simulated}: mean KL, nats: {_list(numbers['kl'][survey], _RIVALS, 'mean')}")
+        against_gt = _list(errors, _SOLUTIONS, "rmse_xyz_m")
         lines.append(f"{survey}{simulated}: SLAM error against GT, m: {against_gt or 'no track, no SLAM'}")
         if errors["gt"]["truth_rmse_xyz_m"] is not None:
-            truth = _list(errors, (*methods, "gt"), "truth_rmse_xyz_m")
+            truth = _list(errors, (*_SOLUTIONS, "gt"), "truth_rmse_xyz_m")
             lines.append(f"{survey}{simulated}: SLAM error against truth, m: {truth}")
     return lines
 
@@ -84,11 +89,8 @@ def _simulated(simulated: Sequence[str], measured: Sequence[str]) -> str:
 
 
 def _without_track(names: Sequence[str]) -> list[str]:
-    return (
-        [f"Points without pings are cut into tiles. They have no track, and so no SLAM: {', '.join(names)}."]
-        if names
-        else []
-    )
+    sentence = f"Points without pings are cut into tiles. They have no track, and so no SLAM: {', '.join(names)}."
+    return [sentence] if names else []
 
 
 def _count(datasets: Numbers, names: Numbers) -> int:

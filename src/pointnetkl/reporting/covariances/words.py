@@ -26,8 +26,8 @@ def divergence(shown: Blocks, copies: Mapping[str, str]) -> Section:
             f" which a vehicle could have. {copy_words(copies)}",
             "Table II is at that floor: a method that was fitted or trained at another (floor_m2) has a dash. Intervals"
             " are a bootstrap over submaps, in blocks of report.block_submaps along the track, because neighbours"
-            " overlap;"
-            " network_better is the share of its draws in which network has the lower mean: 1 is sure, 0.5 a tie."
+            " overlap. network_better is the share of its draws in which network has the lower mean: 1 is sure, 0.5 a"
+            " tie."
             " axis_error_deg is the mean angle between the major axes of label and Q, weighted by the anisotropy"
             " (a - b) / (a + b) of the label's eigenvalues, with the floor. A guess would be off by 45.",
         ),

@@ -37,15 +37,15 @@ def _encoded(image: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
-def plain_log(axes: Axes, which: str) -> None:
+def plain_log(axes: Axes, axis_name: str) -> None:
     """Write plain numbers at a logarithmic axis, x or y, as many as its decades leave room for."""
-    axis, decades = axes.xaxis if which == "x" else axes.yaxis, _decades(axes, which)
+    axis, decades = axes.xaxis if axis_name == "x" else axes.yaxis, _decades(axes, axis_name)
     subs = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if decades < 0.8 else (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs, numticks=30))
     axis.set_major_formatter(FuncFormatter(lambda value, _: text_table.cell(float(value))))
     axis.set_minor_formatter(NullFormatter())
 
 
-def _decades(axes: Axes, which: str) -> float:
-    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+def _decades(axes: Axes, axis_name: str) -> float:
+    low, high = axes.get_xlim() if axis_name == "x" else axes.get_ylim()
     return float(np.log10(high / low)) if low > 0 else np.inf

@@ -61,7 +61,7 @@ def dependence(shown: Blocks) -> Section:
             " at the size of Table III's submaps.",
             "spacing": "Both eigenvalues of each submap's label against point spacing, under the label stage's noise.",
             "noise": "Both eigenvalues of each submap's label by the noise of the copy, at the survey's own spacing."
-            " Without noise the copy of `same` is the cloud itself and is found exactly: lines leave at the bottom.",
+            " Without noise the copy of `same` is the cloud itself and is table exactly: lines leave at the bottom.",
         },
         (
             "The two halves of `split` are drawn once, so all runs of a label share the offset between them. On rugged"
@@ -86,24 +86,24 @@ def training() -> Section:
     )
 
 
-def _accuracy(found: pd.DataFrame) -> str:
-    # the most runs that so many parts speak for
-    many = found[found["parts"] >= 10]
+def _accuracy(table: pd.DataFrame) -> str:
+    # the largest number of runs with ten parts or more
+    many = table[table["parts"] >= 10]
     if many.empty:
         return ""
     runs = many["runs"].max()
-    each = [
+    errors = [
         f"{row.survey} {cell(100 * row.relative_error, 2)} % (at worst {cell(100 * row.relative_error_max, 2)} %)"
         for row in many[many["runs"] == runs].itertuples()
     ]
     theory = cell(100 * many.loc[many["runs"] == runs, "gaussian_error"].iloc[0], 2)
-    return f" At L = {runs}: {', '.join(each)}; Gaussian errors: {theory} %."
+    return f" At L = {runs}: {', '.join(errors)}; Gaussian errors: {theory} %."
 
 
-def _noise(found: pd.DataFrame) -> str:
-    powers = found.dropna(subset=["power"])
-    each = [
-        f"{cell(float(of['power'].min()), 2)} to {cell(float(of['power'].max()), 2)} ({copy})"
-        for copy, of in powers.groupby("copy")
+def _noise(table: pd.DataFrame) -> str:
+    powers = table.dropna(subset=["power"])
+    ranges = [
+        f"{cell(float(labels['power'].min()), 2)} to {cell(float(labels['power'].max()), 2)} ({copy})"
+        for copy, labels in powers.groupby("copy")
     ]
-    return f" Here the powers are {' and '.join(each)}." if each else ""
+    return f" Here the powers are {' and '.join(ranges)}." if ranges else ""
