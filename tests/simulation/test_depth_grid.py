@@ -188,7 +188,6 @@ def test_a_survey_over_the_real_bag_has_its_depths():
     assert -53.0 < placed[:, 2].min() < placed[:, 2].max() < -50.9
 
 
-@pytest.mark.filterwarnings("ignore:Exception ignored in. 'rasterio._env.log_error'")  # GDAL's message is no UTF-8
 @pytest.mark.parametrize("write", [geotiff, bag])
 def test_mutated_grids_end_in_a_sentence_or_in_depths_of_a_sea(tmp_path: Path, write):
     path = write(tmp_path / ("a.bag" if write is bag else "a.tif"))
