@@ -25,9 +25,11 @@ class LocalDask:
             time.sleep(0.05)
         self.address: str = json.loads(where.read_text())["address"]
 
-    def worker(self, command: str = "dask worker ADDRESS --nworkers 1 --nthreads 1") -> "subprocess.Popen[bytes]":
+    def worker(
+        self, command: str = "dask worker ADDRESS --nworkers 1 --nthreads 1", **environment: str
+    ) -> "subprocess.Popen[bytes]":
         """Start workers by a command in which ADDRESS stands for the scheduler's."""
-        return self._start(command.replace("ADDRESS", self.address), {})
+        return self._start(command.replace("ADDRESS", self.address), environment)
 
     def close(self) -> None:
         """End the scheduler and all the workers."""

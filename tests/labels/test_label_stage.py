@@ -43,11 +43,15 @@ def survey(undisturbed: Path, tmp_path: Path) -> Path:
 def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalDask]:
     """A scheduler and two workers, by the README's very commands."""
     readme = (toy_labels.ROOT / "README.md").read_text()
-    scheduler, worker = (re.search(rf"^dask {name}[^#\n]*", readme, re.MULTILINE) for name in ("scheduler", "worker"))
+    scheduler, worker = (
+        re.search(rf"^((?:\w+=\S+ )*)(dask {name}[^#\n]*)", readme, re.MULTILINE) for name in ("scheduler", "worker")
+    )
     assert scheduler is not None
     assert worker is not None
-    cluster = LocalDask(tmp_path_factory.mktemp("dask"), scheduler[0])
-    cluster.worker(re.sub(r"tcp://\S+", "ADDRESS", re.sub(r"--nworkers \d+", "--nworkers 2", worker[0])))
+    cluster = LocalDask(tmp_path_factory.mktemp("dask"), scheduler[2])
+    environment = dict(setting.split("=") for setting in worker[1].split())
+    command = re.sub(r"tcp://\S+", "ADDRESS", re.sub(r"--nworkers \d+", "--nworkers 2", worker[2]))
+    cluster.worker(command, **environment)
     yield cluster
     cluster.close()
 
