@@ -87,6 +87,7 @@ def test_what_is_the_same_in_all_training_submaps_may_differ_a_little():
     assert same.distance(np.full(8, 0.1)) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_benchmark_counts_what_is_flagged(tmp_path: Path):
     drawn = [submaps.Submap("mine", i, *3 * [submap(1.0, 50 + i)]) for i in range(8)]
     labels = pd.DataFrame({"submap": range(8), "q_xx_m2": 1.0, "q_xy_m2": 0.0, "q_yy_m2": 1.0})

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 import damage
 import seed_files
 
+pytestmark = pytest.mark.slow
+
 READERS = sorted(seed_files.FORMATS)
 QUICK = settings(
     max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]

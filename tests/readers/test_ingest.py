@@ -101,6 +101,7 @@ def test_a_truth_that_is_not_the_survey_s_is_refused(folder: Path, columns: dict
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.slow
 def test_the_same_raw_pings_give_the_same_bytes(folder: Path):
     ingest(folder)
     ingest(folder, "--out", str(folder / "again"))

@@ -429,6 +429,7 @@ def assert_same_as_the_library(path: Path) -> None:
             file.read(kind)
 
 
+@pytest.mark.slow
 def test_the_race_of_readers_ends_in_its_numbers(tmp_path: Path):
     path = written(tmp_path / "small.gsf", *pings(3), made.attitude())
     words = ["--source", str(path), "--megabytes", "0.05", "--repetitions", "1"]

@@ -220,6 +220,7 @@ def segment_stage(folder: Path, name: str = "small") -> subprocess.CompletedProc
     return subprocess.run(script, cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path, small: Whole):
     artifacts.write_table(tmp_path / "pings.parquet", small.pings, survey.PINGS, {})
     artifacts.write_table(tmp_path / "soundings.parquet", small.soundings, survey.SOUNDINGS, {})

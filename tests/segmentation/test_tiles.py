@@ -211,6 +211,7 @@ def segment_stage(folder: Path, kind: str, soundings: pd.DataFrame, pings: pd.Da
     return (done.stdout or done.stderr).strip().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_stage_takes_its_way_by_the_kind_of_the_survey(
     tmp_path: Path, points: pd.DataFrame, tiled: tuple[list[Submap], Segmentation]
 ):

@@ -106,6 +106,7 @@ def test_a_voxel_that_is_no_share_of_the_sphere_is_refused(share: float):
         voxel.Settings(share)
 
 
+@pytest.mark.slow
 def test_the_stage_makes_a_cloud_of_every_submap(tmp_path: Path):
     survey = sail(lines=1)
     segments = whole_survey.cut(
