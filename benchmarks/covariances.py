@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import training
 from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
@@ -22,7 +21,7 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import report, results, terrain, text_table
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
-from pointnetkl.training import dataset, device
+from pointnetkl.training import dataset, device, loop
 from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow import study as studies
 
@@ -104,7 +103,7 @@ def left_out(
 ) -> list[dict[str, Any]]:
     """Return mean KL on each class of `network` that was trained without it, beside one trained with all."""
     stored = model_file.read(arguments.network)
-    how = parameters.read(arguments.params, "models.network.train", training.Settings)
+    how = parameters.read(arguments.params, "models.network.train", loop.Settings)
     samples, _ = dataset.read(arguments.data / "train", known)
     describe = stored.model.describe
     if describe is None:
@@ -130,13 +129,13 @@ def left_out(
     return rows
 
 
-def fit(stored: Stored, samples: Samples, how: training.Settings) -> model.Model:
+def fit(stored: Stored, samples: Samples, how: loop.Settings) -> model.Model:
     """Return a model like the stored one, trained on these samples."""
     device.prepare(how.seed, how.threads, device.choose("cpu"))
     made = model_file.kind(stored.kind)[1](dataclasses.replace(stored.model.settings))
     sets = dataset.split(samples, how.validation_share, how.validation_blocks, how.seed)
     made.start(sets[0])
-    training.train(made, *sets, how)
+    loop.train(made, *sets, how)
     return made.eval()
 
 

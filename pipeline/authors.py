@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pointnetkl import training
 from pointnetkl.authors import consolidated
 from pointnetkl.authors import tables as authors_tables
 from pointnetkl.authors.consolidated import Consolidated
@@ -21,7 +20,7 @@ from pointnetkl.models import pointnetkl as network
 from pointnetkl.models.samples import Samples
 from pointnetkl.reporting import text_table
 from pointnetkl.reporting.text_table import Block
-from pointnetkl.training import checkpoint, dataset, device
+from pointnetkl.training import checkpoint, dataset, device, loop
 from pointnetkl.workflow import artifacts, command, parameters
 
 _CHECKPOINT_S = 60.0
@@ -30,7 +29,7 @@ _CHECKPOINT_S = 60.0
 def main(arguments: argparse.Namespace) -> None:
     """Read all files, train, test, and write tables and model."""
     network_settings = parameters.read(arguments.params, "models.pointnetkl.network", network.Settings)
-    training_settings = parameters.read(arguments.params, "models.pointnetkl.train", training.CloudSettings)
+    training_settings = parameters.read(arguments.params, "models.pointnetkl.train", loop.CloudSettings)
     report_settings = {
         name: parameters.read(arguments.params, f"report.{name}", value_type)
         for name, value_type in (("kl_floor_m2", float), ("block_submaps", int), ("seed", int))
@@ -94,17 +93,17 @@ def check_unseen(training_files: Mapping[str, Consolidated], test_files: Mapping
 
 def train(
     network_settings: network.Settings,
-    training_settings: training.CloudSettings,
+    training_settings: loop.CloudSettings,
     sets: tuple[Samples, Samples],
     progress: checkpoint.Checkpoint,
-) -> tuple[network.PointNetKL, training.Outcome]:
+) -> tuple[network.PointNetKL, loop.Outcome]:
     """Train as stage `train` does; after an interruption, training continues from the last checkpoint."""
     torch_device = device.choose(training_settings.device)
     device.prepare(training_settings.seed, training_settings.threads, torch_device)
     model = network.PointNetKL(network_settings).to(torch_device)
     model.start(sets[0])
-    outcome = training.train(model, *sets, training_settings, progress)
-    training.finish(model, sets[0], training_settings)
+    outcome = loop.train(model, *sets, training_settings, progress)
+    loop.finish(model, sets[0], training_settings)
     return model, outcome
 
 
@@ -116,7 +115,7 @@ def predict(
     samples_by_name |= {name: consolidated.samples({name: file}) for name, file in test_files.items()}
     constant = sets[0].label.mean(axis=0)
     return {
-        name: Predictions(samples.label, training.predict(model, samples), constant)
+        name: Predictions(samples.label, loop.predict(model, samples), constant)
         for name, samples in samples_by_name.items()
     }
 

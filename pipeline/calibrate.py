@@ -12,7 +12,7 @@ from pointnetkl.models import trained
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import errors as closure_errors
-from pointnetkl.slam.closures import loop_closure, overlap, tables
+from pointnetkl.slam.closures import loop_closure, overlap, schemas
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
@@ -36,7 +36,7 @@ def main(arguments: argparse.Namespace) -> None:
     covariances = pd.concat([measured, predicted], ignore_index=True)
     metadata = {"survey": name, "calibrate": parameters.as_metadata(settings), "graph": file.metadata}
     dimensions = registration_settings.dimensions
-    artifacts.write_table(arguments.closures, rows, tables.schema(dimensions), metadata)
+    artifacts.write_table(arguments.closures, rows, schemas.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)
 
 

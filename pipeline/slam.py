@@ -15,9 +15,9 @@ import pandas as pd
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import benchmark as slam_benchmark
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.benchmark import schemas as slam_schemas
 from pointnetkl.slam.consistency import consistency_map, map_to_map
-from pointnetkl.slam.consistency import tables as consistency_tables
+from pointnetkl.slam.consistency import schemas as consistency_schemas
 from pointnetkl.slam.consistency.consistency_map import Cells
 from pointnetkl.slam.consistency.map_to_map import MapToMap
 from pointnetkl.slam.consistency.map_to_map_auvlib import MapToMapAuvlib
@@ -49,11 +49,11 @@ def main(arguments: argparse.Namespace) -> None:
     for sentence in slam_benchmark.unsolved(results.rows):
         print(sentence, file=sys.stderr)
     metadata = {"survey": name, "slam": parameters.as_metadata(settings), "graph": graph_metadata}
-    artifacts.write_table(arguments.rows, results.rows, slam_tables.ROWS, metadata)
-    artifacts.write_table(arguments.trajectories, results.trajectories, slam_tables.TRAJECTORIES, metadata)
+    artifacts.write_table(arguments.rows, results.rows, slam_schemas.ROWS, metadata)
+    artifacts.write_table(arguments.trajectories, results.trajectories, slam_schemas.TRAJECTORIES, metadata)
     frame = consistency_map.Frame(*consistency_map.read_origin(arguments.pings), settings.map_cell_m)
     consistency_map.write(arguments.consistency, results.cells, frame, metadata)
-    artifacts.write_table(arguments.map_thinning, results.thinned, consistency_tables.THINNING, metadata)
+    artifacts.write_table(arguments.map_thinning, results.thinned, consistency_schemas.THINNING, metadata)
 
 
 def run_benchmark(
@@ -71,7 +71,7 @@ def run_benchmark(
 
 def without_track() -> Results:
     """Return the results for a graph without a track: tables without rows, and a map without cells."""
-    schemas = (slam_tables.ROWS, slam_tables.TRAJECTORIES, consistency_tables.THINNING)
+    schemas = (slam_schemas.ROWS, slam_schemas.TRAJECTORIES, consistency_schemas.THINNING)
     rows, trajectories, thinned = (schema.empty_table().to_pandas() for schema in schemas)
     # a band in name only, because a raster has at least one
     return Results(rows, trajectories, {"no track": Cells(*np.empty((3, 0), np.int64))}, thinned)

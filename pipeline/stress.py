@@ -13,7 +13,7 @@ from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import graph_file
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
-from pointnetkl.slam.robust import false_closures, loop_gate, stress, tables
+from pointnetkl.slam.robust import false_closures, loop_gate, schemas, stress
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
 
@@ -31,7 +31,7 @@ def main(arguments: argparse.Namespace) -> None:
     methods = stress.select_methods(protocol.by_method(covariances, slam_settings.floor_m2), settings, name)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = protocol.node_clouds(file.graph, {s.number: s.points for s in submaps})
-    rows, gate = (schema.empty_table().to_pandas() for schema in (tables.ROWS, tables.GATE))
+    rows, gate = (schema.empty_table().to_pandas() for schema in (schemas.ROWS, schemas.GATE))
     if file.graph.track:  # without one there is nothing to optimise
         pairs = pairs_apart(file.graph, clouds, cell)
         experiment = stress.Experiment(file.graph, methods, pairs, slam_settings.yaw_sigma_rad, settings)
@@ -44,8 +44,8 @@ def main(arguments: argparse.Namespace) -> None:
         "slam": {"yaw_sigma_rad": slam_settings.yaw_sigma_rad, "floor_m2": slam_settings.floor_m2},
         "graph": file.metadata,
     }
-    artifacts.write_table(arguments.rows, rows, tables.ROWS, metadata)
-    artifacts.write_table(arguments.gate, gate, tables.GATE, metadata)
+    artifacts.write_table(arguments.rows, rows, schemas.ROWS, metadata)
+    artifacts.write_table(arguments.gate, gate, schemas.GATE, metadata)
 
 
 def pairs_apart(graph: SurveyGraph, clouds: Sequence[np.ndarray], cell: float) -> np.ndarray:

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl import training
 from pointnetkl.models import mean_field, model_file, novelty
 from pointnetkl.models.mean_field_network import MeanFieldNetwork
 from pointnetkl.models.model import Model
 from pointnetkl.models.samples import Samples
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import gaussian
-from pointnetkl.training import checkpoint, dataset, device
+from pointnetkl.training import checkpoint, dataset, device, loop
 from pointnetkl.workflow import artifacts, command, parameters, study
 
 SETS = ("training", "validation")
@@ -44,8 +43,8 @@ def main(arguments: argparse.Namespace) -> None:
     network = parameters.as_metadata(model.settings)
     decides = {**metadata, "kind": kind, "network": network, "device": processor.type}
     kept = checkpoint.Checkpoint(arguments.checkpoints, checkpoint.name(decides, sets), arguments.every_s)
-    outcome = training.train(model, *sets, settings, kept, lambda history: write_losses(arguments.loss, history))
-    training.finish(model, sets[0], settings)
+    outcome = loop.train(model, *sets, settings, kept, lambda history: write_losses(arguments.loss, history))
+    loop.finish(model, sets[0], settings)
 
     trait_sets = dataset.split(with_traits, settings.validation_share, settings.validation_blocks, settings.seed)
     traits = novelty.learn(trait_sets[0].described, trait_sets[0].survey)
@@ -61,7 +60,7 @@ def main(arguments: argparse.Namespace) -> None:
     kept.discard()
 
 
-def read_kind(params: Path, name: str) -> tuple[str, training.Settings]:
+def read_kind(params: Path, name: str) -> tuple[str, loop.Settings]:
     """Return the kind of the model of that name, and how it is trained.
 
     Raises:
@@ -71,7 +70,7 @@ def read_kind(params: Path, name: str) -> tuple[str, training.Settings]:
     if kind not in model_file.KINDS:
         kinds = " or ".join(model_file.KINDS)
         raise parameters.SettingsError(f"{params}: models.{name}.kind is {kind!r}, must be {kinds}")
-    return kind, parameters.read(params, f"models.{name}.train", training.KINDS[kind])
+    return kind, parameters.read(params, f"models.{name}.train", loop.KINDS[kind])
 
 
 def make(params: Path, name: str, kind: str, label: monte_carlo.Settings, registration: gicp.Settings) -> Model:
@@ -92,7 +91,7 @@ def measure(model: Model, sets: tuple[Samples, Samples], floor_m2: float) -> dic
     """Return the trained model's mean KL (nats) on whole clouds, with the floor and without, and the counts."""
     divergences: dict[str, dict[str, float]] = {"kl": {}, "kl_floor0": {}}
     for name, samples in zip(SETS, sets, strict=True):
-        q = training.predict(model, samples)
+        q = loop.predict(model, samples)
         for key, added in (("kl", floor_m2), ("kl_floor0", 0.0)):
             pair = gaussian.with_floor(samples.label, added), gaussian.with_floor(q, added)
             divergences[key][name] = float(f"{np.mean(gaussian.kl_divergence(*pair)):.4g}")

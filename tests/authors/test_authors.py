@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 import authors_arrays
-from pointnetkl import training
 from pointnetkl.authors import consolidated
 from pointnetkl.authors import tables as authors_tables
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
+from pointnetkl.training import loop
 from pointnetkl.workflow import parameters
 
 pytestmark = pytest.mark.slow
@@ -87,7 +87,7 @@ def test_the_model_and_its_parameters_are_kept_and_no_checkpoint(finished: Path)
     stored = model_file.read(finished / "out/pointnetkl.pt")
     assert (stored.metadata, stored.voxel) == (made_by, consolidated.VOXEL)
     samples = consolidated.samples({"borno_val": consolidated.read(finished / "borno_val.npy")})
-    assert training.predict(stored.model, samples).shape == (12, 2, 2)
+    assert loop.predict(stored.model, samples).shape == (12, 2, 2)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_the_network_of_the_authors_data_is_that_of_the_pipeline():
     assert parameters.read(own, f"{section}.network", network.Settings) == parameters.read(
         pipeline, f"{section}.network", network.Settings
     )
-    assert parameters.read(own, f"{section}.train", training.CloudSettings).batch == 500
+    assert parameters.read(own, f"{section}.train", loop.CloudSettings).batch == 500
 
 
 def test_a_perfect_answer_has_no_divergence_and_the_best_constant_is_the_mean():

@@ -13,7 +13,7 @@ from pointnetkl.exchange.graph_solver import GraphSolverError
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.robust import estimators
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.surveys import pose
 from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
@@ -27,7 +27,7 @@ def without(graph: g2o.Graph, edge: int) -> g2o.Graph:
     return dataclasses.replace(graph, edges=kept, information=np.delete(graph.information, edge, 0))
 
 
-@pytest.mark.parametrize("kernel", robust_tables.KERNELS[1:])
+@pytest.mark.parametrize("kernel", robust_schemas.KERNELS[1:])
 def test_a_robust_solution_is_nearly_that_without_the_wrong_closure(kernel: str):
     graph, wrong = mesh()
     doubted = np.flatnonzero(graph_exchange.closes_loop(graph))

@@ -11,12 +11,12 @@ import yaml
 from pointnetkl.registration import monte_carlo
 from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.benchmark import tables as slam_tables
-from pointnetkl.slam.closures import tables as closure_tables
+from pointnetkl.slam.benchmark import schemas as slam_schemas
+from pointnetkl.slam.closures import schemas as closure_schemas
 from pointnetkl.slam.consistency import consistency_map
-from pointnetkl.slam.consistency import tables as consistency_tables
+from pointnetkl.slam.consistency import schemas as consistency_schemas
 from pointnetkl.slam.consistency.consistency_map import Cells
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.surveys import pose, submap, survey, voxel
 from pointnetkl.workflow import artifacts
 
@@ -26,7 +26,7 @@ MODELS = ("pointnetkl", "network")
 METHODS = ("monte_carlo", "constant", "naive_gicp", "constant_train", "structure_tensor", *MODELS)
 CRS = "EPSG:32632"
 REPETITIONS, DRAWS, HELD_OUT = 4, 3, 40
-TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of slam_tables.ROWS, that figures need
+TRUE = ("truth_rmse_xyz_m", "truth_rmse_se2_m", "truth_relative_m")  # of slam_schemas.ROWS, that figures need
 _DROPPED = {"soundings of bad quality": 10, "soundings standing alone": 4, "pings on turns": 25, "pings in them": 6}
 _WENT = {"relative_error": 0.2, "mean_x_m": 0.1, "converged_share": 0.9, "main_basin_share": 0.8, "iterations_mean": 7}
 
@@ -245,12 +245,14 @@ def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
     """Write loop closures whose errors have twice the labels' sigma as built, and the labels' where all truly lie."""
     rng, submaps = _rng(fake.name), np.tile(sources, DRAWS)
     placed = np.einsum("kij,kj->ki", np.linalg.cholesky(fake.q[submaps]), rng.normal(size=(len(submaps), 2)))
-    rows = pd.DataFrame(rng.random((len(submaps), len(closure_tables.CLOSURES))), columns=closure_tables.CLOSURES.names)
+    rows = pd.DataFrame(
+        rng.random((len(submaps), len(closure_schemas.CLOSURES))), columns=closure_schemas.CLOSURES.names
+    )
     errors = {"error": 2 * placed, "gt_error": 1.5 * placed, "placed_error": placed}
     columns = {f"{kind}_{axis}_m": e[:, i] for kind, e in errors.items() for i, axis in enumerate("xy")}
     index = {"draw": np.repeat(range(DRAWS), len(sources)), "submap": submaps, "targets": 1, "converged": True}
     table_ = rows.assign(survey=fake.name, **index, **columns)
-    artifacts.write_table(folder / "closures.parquet", table_, closure_tables.CLOSURES, {})
+    artifacts.write_table(folder / "closures.parquet", table_, closure_schemas.CLOSURES, {})
     covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
     covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
     artifacts.write_table(folder / "closure_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
@@ -272,10 +274,10 @@ def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
             rows.append({"survey": fake.name, **run, **measures})
         drift = np.column_stack([np.linspace(0, error, len(gt)), np.linspace(0, -error, len(gt)), np.zeros(len(gt))])
         trajectories.append(_trajectory(fake, method, gt[:, :3, 3] + drift))
-    table_ = pd.DataFrame(rows).reindex(columns=slam_tables.ROWS.names)
-    artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam_tables.ROWS, {})
+    table_ = pd.DataFrame(rows).reindex(columns=slam_schemas.ROWS.names)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, slam_schemas.ROWS, {})
     artifacts.write_table(
-        folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam_tables.TRAJECTORIES, {}
+        folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam_schemas.TRAJECTORIES, {}
     )
     _write_maps(folder, fake, [rows["which"].iloc[0] for rows in trajectories], rng)
 
@@ -294,11 +296,11 @@ def _write_robustness(folder: Path, fake: Fake, closures: int) -> None:
                 errors = {"rmse_xyz_m": error, "truth_rmse_xyz_m": error if closures else np.nan, "failed": failed}
                 accepted = {"accepted_true": 0.9 * closures, "accepted_false": float(false if kernel == "plain" else 0)}
                 rows.append({**condition, **counts, **errors, **({} if failed else accepted)})
-    table_ = pd.DataFrame(rows).reindex(columns=robust_tables.ROWS.names)
-    artifacts.write_table(folder / f"{fake.name}.parquet", table_, robust_tables.ROWS, {})
+    table_ = pd.DataFrame(rows).reindex(columns=robust_schemas.ROWS.names)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, robust_schemas.ROWS, {})
     gate = {"joined": closures, "covering": 14.0 if closures else np.nan, "both": 12.0 if closures else np.nan}
     gates = pd.DataFrame({"survey": fake.name, "at": "graph", "draw": range(DRAWS), **gate})
-    artifacts.write_table(folder / f"{fake.name}_gate.parquet", gates, robust_tables.GATE, {})
+    artifacts.write_table(folder / f"{fake.name}_gate.parquet", gates, robust_schemas.GATE, {})
 
 
 def _write_maps(folder: Path, fake: Fake, names: list[str], rng: np.random.Generator) -> None:
@@ -307,8 +309,8 @@ def _write_maps(folder: Path, fake: Fake, names: list[str], rng: np.random.Gener
     frame = consistency_map.Frame((650_000.0, 6_450_000.0), CRS, 15.0)
     consistency_map.write(folder / f"{fake.name}_consistency.tif", cells, frame, {})
     errors = {"cells": 40, "map_to_map_m": 4.0, "both_thinned_m": np.linspace(4, 8, 4)}
-    thinned = pd.DataFrame({"survey": fake.name, "thinning": consistency_tables.THINNINGS, **errors})
-    artifacts.write_table(folder / f"{fake.name}_map_thinning.parquet", thinned, consistency_tables.THINNING, {})
+    thinned = pd.DataFrame({"survey": fake.name, "thinning": consistency_schemas.THINNINGS, **errors})
+    artifacts.write_table(folder / f"{fake.name}_map_thinning.parquet", thinned, consistency_schemas.THINNING, {})
 
 
 def _runs(method: str) -> list[tuple[str, int, int]]:

@@ -14,12 +14,12 @@ import fake_artifacts
 from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.reporting import report, results
 from pointnetkl.reporting.slam import figures as slam_figures
-from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.benchmark import schemas as slam_schemas
 from pointnetkl.slam.closures import graph_construction
 from pointnetkl.slam.consistency import consistency_map
-from pointnetkl.slam.consistency import tables as consistency_tables
+from pointnetkl.slam.consistency import schemas as consistency_schemas
 from pointnetkl.slam.graph import graph_file, survey_graph
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.surveys import submap, survey
 from pointnetkl.workflow import artifacts, parameters, study
 from toy_survey import REGISTRATION, SETTINGS, SPACING, sail
@@ -92,11 +92,11 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_slam_and_stress_write_tables_of_no_rows(solved: Path):
-    assert artifacts.read_table(solved / "rows.parquet", slam_tables.ROWS).empty
-    assert artifacts.read_table(solved / "trajectories.parquet", slam_tables.TRAJECTORIES).empty
-    assert artifacts.read_table(solved / "map_thinning.parquet", consistency_tables.THINNING).empty
-    assert artifacts.read_table(solved / "robust.parquet", robust_tables.ROWS).empty
-    assert artifacts.read_table(solved / "gate.parquet", robust_tables.GATE).empty
+    assert artifacts.read_table(solved / "rows.parquet", slam_schemas.ROWS).empty
+    assert artifacts.read_table(solved / "trajectories.parquet", slam_schemas.TRAJECTORIES).empty
+    assert artifacts.read_table(solved / "map_thinning.parquet", consistency_schemas.THINNING).empty
+    assert artifacts.read_table(solved / "robust.parquet", robust_schemas.ROWS).empty
+    assert artifacts.read_table(solved / "gate.parquet", robust_schemas.GATE).empty
     grid = consistency_map.read(solved / "map.tif", ["no track"])
     assert np.isnan(grid.errors["no track"]).all()
 
@@ -119,11 +119,11 @@ def lose_track(root: Path, name: str) -> None:
     arrays, _ = artifacts.read_arrays(place)
     artifacts.write_arrays(place, {**arrays, "track": np.array(False)}, {})
     for path, schema in (
-        (f"slam/{name}", slam_tables.ROWS),
-        (f"slam/{name}_trajectories", slam_tables.TRAJECTORIES),
-        (f"slam/{name}_map_thinning", consistency_tables.THINNING),
-        (f"robustness/{name}", robust_tables.ROWS),
-        (f"robustness/{name}_gate", robust_tables.GATE),
+        (f"slam/{name}", slam_schemas.ROWS),
+        (f"slam/{name}_trajectories", slam_schemas.TRAJECTORIES),
+        (f"slam/{name}_map_thinning", consistency_schemas.THINNING),
+        (f"robustness/{name}", robust_schemas.ROWS),
+        (f"robustness/{name}_gate", robust_schemas.GATE),
     ):
         artifacts.write_table(root / f"reports/{path}.parquet", schema.empty_table().to_pandas(), schema, {})
 

@@ -12,7 +12,7 @@ from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.closures import words as closure_words
 from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.slam.closures import tables as calibrate_tables
+from pointnetkl.slam.closures import schemas as calibrate_schemas
 
 SUBMAPS, DRAWS = 60, 60
 DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}
@@ -27,7 +27,7 @@ def drawn_closures(seed: int, sigma: float = 1.0, count: int = SUBMAPS, m: int =
     placed = np.einsum("rij,rj->ri", roots[number], rng.normal(size=(len(number), m)))
     rows = pd.DataFrame({"draw": np.repeat(np.arange(len(number) // max(count, 1)), count), "submap": number})
     rows = rows.assign(
-        targets=1, converged=True, **{name: rng.random(len(rows)) for name in calibrate_tables.DESCRIPTION}
+        targets=1, converged=True, **{name: rng.random(len(rows)) for name in calibrate_schemas.DESCRIPTION}
     )
     errors = {"error": sigma * placed if truth else np.nan * placed, "gt_error": sigma * placed, "placed_error": placed}
     for kind, e in errors.items():

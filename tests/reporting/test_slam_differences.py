@@ -8,7 +8,7 @@ from pointnetkl.reporting import results, terrain
 from pointnetkl.reporting.covariances import method_plots
 from pointnetkl.reporting.drawing import plots
 from pointnetkl.reporting.slam import numbers as slam_numbers
-from pointnetkl.slam.benchmark.tables import TRAJECTORIES
+from pointnetkl.slam.benchmark.schemas import TRAJECTORIES
 
 SETTINGS = results.Settings(9, 0.01, 2.0, 5, terrain.Settings(0.004, 0.02))
 ERRORS = [*slam_numbers.ERRORS, "truth_relative_m"]

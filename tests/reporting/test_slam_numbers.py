@@ -11,7 +11,7 @@ from pointnetkl.reporting.slam import numbers as slam_numbers
 from pointnetkl.reporting.slam import tables as slam_tables
 from pointnetkl.reporting.slam import words as slam_words
 from pointnetkl.reporting.text_table import Block
-from pointnetkl.slam.benchmark.tables import TRAJECTORIES
+from pointnetkl.slam.benchmark.schemas import TRAJECTORIES
 
 RUN = ["variant", "method", "draw", "repetition"]
 ERRORS = [*slam_numbers.ERRORS, "truth_relative_m"]

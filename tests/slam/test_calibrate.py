@@ -17,7 +17,7 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import errors as closure_errors
 from pointnetkl.slam.closures import loop_closure, terrain
-from pointnetkl.slam.closures import tables as closure_tables
+from pointnetkl.slam.closures import schemas as closure_schemas
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose, submap
@@ -77,7 +77,7 @@ def test_there_is_a_row_for_each_registration_of_each_draw(
     toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
 ):
     rows, graph_ = measured[0], toy[1]
-    assert list(rows.columns) == closure_tables.CLOSURES.names
+    assert list(rows.columns) == closure_schemas.CLOSURES.names
     for draw, closures in enumerate(graph_.draws):
         of_draw = rows[rows["draw"] == draw]
         assert of_draw["submap"].tolist() == graph_.number[closures.node].tolist()
@@ -123,7 +123,7 @@ def test_without_a_truth_only_gt_tells_errors(toy: tuple[list[submap.Submap], Su
 def test_with_yaw_there_is_its_error_too():
     with_yaw = dataclasses.replace(REGISTRATION, dof="xyyaw")
     rows, covariances = measure(graph(registration=with_yaw), with_yaw)
-    assert list(rows.columns) == closure_tables.schema(3).names
+    assert list(rows.columns) == closure_schemas.schema(3).names
     assert 0 < rows["placed_error_w_rad"].abs().max() < 0.05
     for q in by_submap(covariances, "pair").values():
         assert q.shape == (3, 3)
@@ -144,7 +144,7 @@ def test_the_number_of_workers_does_not_count(
 def test_a_survey_that_closes_no_loop_has_empty_tables():
     rows, covariances = measure(graph(lines=1), runs=4)
     assert len(rows) == len(covariances) == 0
-    assert list(rows.columns) == closure_tables.CLOSURES.names
+    assert list(rows.columns) == closure_schemas.CLOSURES.names
     assert list(covariances.columns) == table.SCHEMA.names
 
 
@@ -218,7 +218,7 @@ def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps
 @pytest.mark.slow
 def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGraph], tmp_path: Path):
     subprocess.run(write(tmp_path, toy, len(toy[0])), cwd=tmp_path, check=True, capture_output=True)
-    rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_tables.CLOSURES)
+    rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_schemas.CLOSURES)
     covariances = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
     assert len(rows) == sum(len(closures.node) for closures in toy[1].draws)
     assert set(covariances["method"]) == {"split", "pair", "mine_overlap"}

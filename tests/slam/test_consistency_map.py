@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import rasterio
 
-from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.benchmark import schemas as slam_schemas
 from pointnetkl.slam.consistency import consistency_map, map_to_map
 from pointnetkl.slam.consistency.consistency_map import Cells, Frame
 from pointnetkl.surveys import pose, survey
@@ -102,7 +102,7 @@ def test_a_trajectory_of_the_table_has_the_cells_of_its_poses():
     xyz, yaw = rng.uniform(0, 30, (3, 3)), rng.uniform(-3, 3, 3)
     columns = dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True))
     rows = pd.DataFrame({"survey": "mine", "which": "gt", "submap": range(3), **columns, "yaw_rad": yaw})
-    shuffled = rows.iloc[[2, 0, 1]][slam_tables.TRAJECTORIES.names]
+    shuffled = rows.iloc[[2, 0, 1]][slam_schemas.TRAJECTORIES.names]
     measure = map_to_map.MapToMap(clouds, 15.0, 2)
     cells = consistency_map.cells_by_trajectory(shuffled, measure.cells)
     expected = measure.cells(np.array([pose.matrix(p, a) for p, a in zip(xyz, yaw, strict=True)]))

@@ -7,7 +7,7 @@ import pandas as pd
 
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.robust import loop_gate
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.surveys import pose
 from toy_survey import SETTINGS, SPACING, graph
 
@@ -66,4 +66,4 @@ def test_without_truth_only_what_was_joined_is_known():
     rows = table(dataclasses.replace(GRAPH, truth=np.full_like(GRAPH.truth, np.nan)))
     assert (rows["joined"] > 0).all()
     assert rows[["covering", "both"]].isna().all(axis=None)
-    assert list(rows.columns) == robust_tables.GATE.names
+    assert list(rows.columns) == robust_schemas.GATE.names

@@ -7,7 +7,7 @@ import pytest
 
 from pointnetkl.slam.graph import gtsam_search, pose_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
-from pointnetkl.slam.robust import estimators, tables
+from pointnetkl.slam.robust import estimators, schemas
 from pointnetkl.surveys import pose
 from toy_survey import CLOSURE, DEAD_RECKONING
 
@@ -41,7 +41,7 @@ def solve(kernel: str, false: int, sigma: float = 0.1, yaw: float = 0.005) -> es
     odometry = pose_graph.Odometry(dead_reckoning, DEAD_RECKONING, pose_graph.chain(SQUARE[0], dead_reckoning))
     q = np.tile(sigma**2 * np.eye(2), (len(edges.source), 1, 1))
     graph = robust_graph(edges, q, odometry)
-    return graph.solve(kernel, None if kernel in ("plain", tables.FIRST) else graph.solve(tables.FIRST))
+    return graph.solve(kernel, None if kernel in ("plain", schemas.FIRST) else graph.solve(schemas.FIRST))
 
 
 def error(solution: estimators.Solution) -> float:

@@ -8,7 +8,7 @@ import pytest
 
 from pointnetkl.slam.benchmark import benchmark as slam_benchmark
 from pointnetkl.slam.benchmark import protocol
-from pointnetkl.slam.benchmark import tables as slam_tables
+from pointnetkl.slam.benchmark import schemas as slam_schemas
 from pointnetkl.slam.graph import pose_graph, survey_graph, trajectory_error
 from toy_survey import REGISTRATION, graph
 
@@ -96,7 +96,7 @@ def test_trajectories_of_the_first_repetition_are_kept():
     _, trajectories = benchmark()
     assert trajectories["which"].unique().tolist() == ["truth", "gt", "navigation", "corrupted", *METHODS]
     assert (trajectories.groupby("which").size() == len(SUBMAPS)).all()
-    assert list(trajectories.columns) == slam_tables.TRAJECTORIES.names
+    assert list(trajectories.columns) == slam_schemas.TRAJECTORIES.names
 
 
 def test_a_survey_without_truth_or_closures_still_has_rows():
@@ -105,7 +105,7 @@ def test_a_survey_without_truth_or_closures_still_has_rows():
     assert rows["truth_rmse_xyz_m"].isna().all()
     assert errors(rows, "network") == pytest.approx(errors(rows, "corrupted"), abs=1e-6)
     assert "truth" not in set(trajectories["which"])
-    assert list(rows.columns) == slam_tables.ROWS.names
+    assert list(rows.columns) == slam_schemas.ROWS.names
 
 
 def test_shared_edges_are_trusted_less():

@@ -12,7 +12,7 @@ from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.robust import estimators, false_closures, loop_gate, stress
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.workflow import artifacts, parameters
 from toy_survey import SETTINGS as GRAPH_SETTINGS
 from toy_survey import SPACING, graph
@@ -123,7 +123,7 @@ def test_the_table_does_not_depend_on_the_number_of_workers(
     monkeypatch.setenv("POINTNETKL_WORKERS", "3")
     together = stress.benchmark(EXPERIMENT)
     for name, table in (("one", alone), ("three", together)):
-        artifacts.write_table(tmp_path / name, table, robust_tables.ROWS, {})
+        artifacts.write_table(tmp_path / name, table, robust_schemas.ROWS, {})
     assert (tmp_path / "one").read_bytes() == (tmp_path / "three").read_bytes()
 
 
@@ -143,8 +143,8 @@ def test_a_run_that_fails_is_a_row_of_nulls_and_the_others_go_on(monkeypatch: py
     assert rows["failed"].tolist() == (rows["kernel"] == "gnc").tolist()
     assert select(rows, kernel="gnc")[[*ERRORS, "accepted_true"]].isna().all(axis=None)
     assert select(rows, failed=False)[ERRORS].notna().all(axis=None)
-    artifacts.write_table(tmp_path / "rows", rows, robust_tables.ROWS, {})
-    assert artifacts.read_table(tmp_path / "rows", robust_tables.ROWS)["failed"].any()
+    artifacts.write_table(tmp_path / "rows", rows, robust_schemas.ROWS, {})
+    assert artifacts.read_table(tmp_path / "rows", robust_schemas.ROWS)["failed"].any()
 
 
 def test_a_survey_without_truth_or_closures_still_has_rows_of_share_0():

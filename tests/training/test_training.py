@@ -14,7 +14,6 @@ import pytest
 import torch
 import yaml
 
-from pointnetkl import training
 from pointnetkl.models import cholesky, model_file
 from pointnetkl.models import pointnetkl as network
 from pointnetkl.models import trained as trained_method
@@ -23,7 +22,7 @@ from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.surveys import voxel
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.training import checkpoint, device
+from pointnetkl.training import checkpoint, device, loop
 from pointnetkl.workflow import parameters
 from toy_labels import until
 from training_surveys import write
@@ -31,7 +30,7 @@ from training_surveys import write
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
 SMALL = network.Settings(scale_input=True, hidden_layers=2, hidden_width=64, dropout=0.1)
-QUICK = training.CloudSettings(
+QUICK = loop.CloudSettings(
     seed=3,
     device="cpu",
     threads=1,
@@ -66,13 +65,13 @@ def samples(count: int, seed: int = 0) -> Samples:
 
 
 def trained(
-    settings: training.CloudSettings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
-) -> tuple[network.PointNetKL, training.Outcome]:
+    settings: loop.CloudSettings, kind: network.Settings = SMALL, kept: checkpoint.Checkpoint | None = None
+) -> tuple[network.PointNetKL, loop.Outcome]:
     device.prepare(settings.seed, settings.threads, CPU)
     model = network.PointNetKL(kind)
     model.start(samples(8))
-    outcome = training.train(model, samples(8), samples(5, seed=1), settings, kept)
-    training.finish(model, samples(8), settings)
+    outcome = loop.train(model, samples(8), samples(5, seed=1), settings, kept)
+    loop.finish(model, samples(8), settings)
     return model, outcome
 
 
@@ -84,9 +83,9 @@ def model() -> network.PointNetKL:
 def test_settings_that_a_kind_of_model_does_not_use_are_refused(tmp_path: Path):
     path = tmp_path / "params.yaml"
     path.write_text(yaml.safe_dump({"train": parameters.as_metadata(QUICK)}))
-    assert parameters.read(path, "train", training.KINDS["pointnetkl"]) == QUICK
+    assert parameters.read(path, "train", loop.KINDS["pointnetkl"]) == QUICK
     with pytest.raises(parameters.SettingsError, match=r"train\.\w+ is unknown"):
-        parameters.read(path, "train", training.KINDS["mean_field"])
+        parameters.read(path, "train", loop.KINDS["mean_field"])
 
 
 def test_training_and_the_report_judge_kl_at_one_floor():
@@ -94,7 +93,7 @@ def test_training_and_the_report_judge_kl_at_one_floor():
 
 
 def test_every_kind_of_model_has_settings():
-    assert training.KINDS.keys() == model_file.KINDS.keys()
+    assert loop.KINDS.keys() == model_file.KINDS.keys()
 
 
 @pytest.mark.slow
@@ -104,11 +103,11 @@ def test_a_few_submaps_are_learned_by_heart():
     device.prepare(1, 1, CPU)
     model = network.PointNetKL(SMALL)
     model.start(learned)
-    outcome = training.train(model, learned, learned, settings)
-    training.finish(model, learned, settings)
+    outcome = loop.train(model, learned, learned, settings)
+    loop.finish(model, learned, settings)
     constant = np.broadcast_to(learned.label.mean(axis=0), learned.label.shape)
     best_constant = gaussian.kl_divergence(learned.label, constant).mean()
-    assert gaussian.kl_divergence(learned.label, training.predict(model, learned)).mean() < best_constant / 3
+    assert gaussian.kl_divergence(learned.label, loop.predict(model, learned)).mean() < best_constant / 3
     assert outcome.history["training"].iloc[-1] < outcome.history["training"].iloc[0] / 2
 
 
@@ -116,7 +115,7 @@ def test_a_model_starts_as_the_best_constant_which_is_the_mean_label():
     model = network.PointNetKL(SMALL).eval()
     model.start(samples(8))
     expected = samples(8).label.mean(axis=0)
-    for q in training.predict(model, samples(3)):
+    for q in loop.predict(model, samples(3)):
         np.testing.assert_allclose(q, expected, atol=1e-6)
 
 
@@ -134,11 +133,11 @@ def test_the_best_weights_are_kept_and_not_the_last():
     settings = dataclasses.replace(QUICK, steps=12, learning_rate=0.01, validate_every=1)
     device.prepare(settings.seed, 1, CPU)
     model = network.PointNetKL(SMALL)
-    outcome = training.train(model, samples(8), samples(5, seed=1), settings)
+    outcome = loop.train(model, samples(8), samples(5, seed=1), settings)
     scores = outcome.history["validation"].to_numpy()
     assert outcome.best_step == outcome.history["step"][scores.argmin()]
     assert scores[-1] > scores.min()
-    again = training._validate(model, samples(8), samples(5, seed=1), settings, 0)
+    again = loop._validate(model, samples(8), samples(5, seed=1), settings, 0)
     assert again == pytest.approx(scores.min(), rel=1e-5)
 
 
@@ -167,16 +166,16 @@ def test_batch_norm_statistics_make_evaluation_agree_with_training():
     with torch.no_grad():
         points, radius = (torch.from_numpy(a) for a in every.draw(np.arange(8), 64, np.random.default_rng(0)))
         in_training = cholesky.covariance(model(points, radius).double()).numpy()
-    training.finish(model, every, QUICK)
+    loop.finish(model, every, QUICK)
     # not exactly: of eight submaps, a variance with n and with n - 1 differ by a seventh
-    assert gaussian.kl_divergence(in_training, training.predict(model, every)).max() < 0.1
+    assert gaussian.kl_divergence(in_training, loop.predict(model, every)).max() < 0.1
 
 
 def test_a_loss_that_is_no_number_ends_in_a_sentence():
     broken = samples(8)
     broken.clouds[0][:] = np.nan
-    with pytest.raises(training.TrainingError, match=r"step \d+: the loss is nan; lower learning_rate"):
-        training.train(network.PointNetKL(SMALL), broken, samples(5), dataclasses.replace(QUICK, batch=32))
+    with pytest.raises(loop.TrainingError, match=r"step \d+: the loss is nan; lower learning_rate"):
+        loop.train(network.PointNetKL(SMALL), broken, samples(5), dataclasses.replace(QUICK, batch=32))
 
 
 def test_settings_that_cannot_train_are_refused():
@@ -195,7 +194,7 @@ def test_a_model_s_file_gives_back_the_same_predictions(model: network.PointNetK
     (tmp_path / "model.pt").write_bytes(model_file.to_bytes("pointnetkl", model, 0.02, {"surveys": ["baltic"]}))
     stored = model_file.read(tmp_path / "model.pt")
     assert (stored.kind, stored.voxel, stored.metadata) == ("pointnetkl", 0.02, {"surveys": ["baltic"]})
-    np.testing.assert_array_equal(training.predict(stored.model, samples(5)), training.predict(model, samples(5)))
+    np.testing.assert_array_equal(loop.predict(stored.model, samples(5)), loop.predict(model, samples(5)))
 
 
 @pytest.mark.parametrize("damage", ["missing", "empty", "cut", "flipped", "other"])
@@ -316,8 +315,8 @@ def test_one_wild_label_does_not_make_the_step_long():
         lengths.append((float(before), float(after)))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training.nn.utils, "clip_grad_norm_", watched)
-        training.train(network.PointNetKL(SMALL), wild, samples(5), settings)
+        patch.setattr(loop.nn.utils, "clip_grad_norm_", watched)
+        loop.train(network.PointNetKL(SMALL), wild, samples(5), settings)
     assert all(before > 1 >= after - 1e-5 for before, after in lengths)
 
 
@@ -328,7 +327,7 @@ def test_evaluation_does_not_blow_up_on_a_batch_unlike_what_was_trained_on():
     wild = Samples(
         steep.survey, steep.submap, [c * np.float32([1, 1, 3]) for c in steep.clouds], 5 * steep.radius, steep.label
     )
-    q = training.predict(model, wild)
+    q = loop.predict(model, wild)
     constant = np.broadcast_to(steep.label.mean(axis=0), steep.label.shape)
     worst = gaussian.kl_divergence(*(gaussian.with_floor(each, 0.01) for each in (wild.label, constant))).max()
     kl = gaussian.kl_divergence(*(gaussian.with_floor(each, 0.01) for each in (wild.label, q)))

@@ -8,13 +8,13 @@ import numpy as np
 
 from pointnetkl.commands import shared
 from pointnetkl.registration.covariance import catalogue
-from pointnetkl.slam.robust import tables
+from pointnetkl.slam.robust import schemas
 
 if TYPE_CHECKING:
     from pointnetkl.exchange.g2o import Graph
     from pointnetkl.exchange.graph_solver import Solution
 
-_KERNELS = ("none", *tables.KERNELS[1:])
+_KERNELS = ("none", *schemas.KERNELS[1:])
 _DESCRIPTION = """\
 Find the most likely poses of a pose graph in a g2o file (3D: VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX), by GTSAM's
 Levenberg-Marquardt from the poses in the file. Vertices with a line FIX are held; without such a line the first is.

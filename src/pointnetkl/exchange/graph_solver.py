@@ -12,7 +12,7 @@ from pointnetkl.exchange.g2o import Graph
 from pointnetkl.exchange.graph_exchange import inverse
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
-from pointnetkl.slam.robust import tables as robust_tables
+from pointnetkl.slam.robust import schemas as robust_schemas
 from pointnetkl.slam.robust.estimators import RobustGraph, Thresholds
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -71,8 +71,8 @@ def solve_robust(graph: Graph, doubted: np.ndarray, kernel: str, thresholds: Thr
     trusted = _factors(graph, np.setdiff1d(np.arange(len(graph.edges.source)), doubted))
     covariances = inverse(graph.information[doubted])
     robust_graph = RobustGraph(trusted, gtsam_search.to_values(graph.poses), closures, covariances, thresholds)
-    solution = robust_graph.solve(robust_tables.FIRST)
-    if kernel != robust_tables.FIRST:
+    solution = robust_graph.solve(robust_schemas.FIRST)
+    if kernel != robust_schemas.FIRST:
         solution = robust_graph.solve(kernel, solution)
     return _solution(graph, solution.poses), solution.weights
 

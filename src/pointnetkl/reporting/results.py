@@ -12,7 +12,7 @@ from pointnetkl import simulation
 from pointnetkl.registration.covariance import catalogue, table
 from pointnetkl.registration.covariance.label_table import LABELS, VARIATIONS
 from pointnetkl.reporting import terrain
-from pointnetkl.slam.benchmark.tables import ROWS, TRAJECTORIES
+from pointnetkl.slam.benchmark.schemas import ROWS, TRAJECTORIES
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.surveys import submap, survey, voxel
 from pointnetkl.workflow import artifacts, parameters

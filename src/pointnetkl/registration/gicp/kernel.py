@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pointnetkl.registration.gicp import matching, noise, normals, turning, weights
+from pointnetkl.registration.gicp import matching, noise, normals, weights, yaw_step
 from pointnetkl.registration.gicp.device import device, kernel
 
 _f32, _u64 = np.float32, np.uint64
@@ -126,15 +126,15 @@ def align(copy, target, start_yaw, limits):  # type: ignore[no-untyped-def]
     copy.matches[:], copy.deadlines[:], copy.terms[:] = -1, -1, 0
     sums = np.zeros(9)  # M_xx, M_xy, M_yy, (M d)_x, (M d)_y; and with yaw: M_x,yaw, M_y,yaw, M_yaw,yaw, (J^T M d)_yaw
     motion = Motion(0.0, 0.0, start_yaw, 0.0, 0.0)
-    lever = turning.lever(copy.x, copy.y)
+    lever = yaw_step.lever(copy.x, copy.y)
     iterations, matched, converged = 0, 0, False
     while iterations < limits.max_iterations and not converged:
         matched += _rematch(copy, target, motion, limits, sums)
         if matched == 0:
             return (0.0, 0.0, motion.yaw), np.zeros(9), iterations, False, 0
         if limits.with_yaw:
-            turning.fill_sums(copy, target, motion, limits.epsilon, sums)
-            step_x, step_y, turn = turning.solve(sums)
+            yaw_step.fill_sums(copy, target, motion, limits.epsilon, sums)
+            step_x, step_y, turn = yaw_step.solve(sums)
         else:
             x, y = weights.solve(sums)
             step_x, step_y, turn = x - motion.x, y - motion.y, 0.0

@@ -15,7 +15,7 @@ from pointnetkl.reporting.closures import numbers
 from pointnetkl.reporting.closures.numbers import Closures
 from pointnetkl.reporting.drawing import families, plots
 from pointnetkl.reporting.results import GOLD
-from pointnetkl.slam.closures.tables import BUILT, PLACED
+from pointnetkl.slam.closures.schemas import BUILT, PLACED
 
 _NEES = (0.1, 5000.0)  # range of the axis; values beyond it are drawn at its border
 _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plots.SKY)  # of surveys

@@ -12,7 +12,7 @@ from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.registration.covariance.catalogue import GT, PAIR, SPLIT, TRUTH
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
-from pointnetkl.slam.closures.tables import BUILT, CLOSURES, DESCRIPTION, PLACED, TO_GT, YAW
+from pointnetkl.slam.closures.schemas import BUILT, CLOSURES, DESCRIPTION, PLACED, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
 FIRM = "below 0.1 m"  # the class of submaps that the ground holds best

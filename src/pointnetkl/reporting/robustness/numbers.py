@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pointnetkl.slam.robust.tables import CORRUPTED, GATE, GRAPH, ROWS
+from pointnetkl.slam.robust.schemas import CORRUPTED, GATE, GRAPH, ROWS
 from pointnetkl.workflow import artifacts
 
 ERRORS = ("truth_rmse_xyz_m", "truth_relative_m", "rmse_xyz_m")

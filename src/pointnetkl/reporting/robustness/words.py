@@ -7,7 +7,7 @@ import pandas as pd
 
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.text_table import Blocks, cell
-from pointnetkl.slam.robust.tables import CORRUPTED, PLAIN
+from pointnetkl.slam.robust.schemas import CORRUPTED, PLAIN
 
 _TOLERABLE = 1.5  # times the error without false closures; a kernel that stays below it withstands them
 

@@ -10,7 +10,7 @@ from pointnetkl.registration.covariance.catalogue import CORRUPTED, GT, NAVIGATI
 from pointnetkl.reporting import intervals
 from pointnetkl.reporting.results import OURS, Settings, Test
 from pointnetkl.reporting.text_table import Numbers
-from pointnetkl.slam.benchmark.tables import AUTHORS, RMSES, TABLE
+from pointnetkl.slam.benchmark.schemas import AUTHORS, RMSES, TABLE
 from pointnetkl.slam.graph import trajectory_error
 
 ERRORS = (  # of one solution; the other measures are over draws

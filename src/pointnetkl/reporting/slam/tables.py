@@ -8,7 +8,7 @@ import pandas as pd
 
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.text_table import Block, Numbers, block, by_method, interval
-from pointnetkl.slam.consistency.tables import THINNING
+from pointnetkl.slam.consistency.schemas import THINNING
 from pointnetkl.workflow import artifacts
 
 _OVER_DRAWS = {  # by end of the columns' names: the mean's name, and the end of the names of a comparison with network

@@ -10,9 +10,9 @@ import pandas as pd
 
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.slam.benchmark import errors as slam_errors
-from pointnetkl.slam.benchmark import protocol, tables
+from pointnetkl.slam.benchmark import protocol, schemas
 from pointnetkl.slam.benchmark.protocol import Methods, Settings
-from pointnetkl.slam.benchmark.tables import TABLE
+from pointnetkl.slam.benchmark.schemas import TABLE
 from pointnetkl.slam.graph import pose_graph
 from pointnetkl.slam.graph.pose_graph import Odometry, PoseGraph, PoseGraphError
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -63,7 +63,7 @@ def benchmark(
         }
         for estimate in estimates
     ]
-    return pd.DataFrame(rows, columns=tables.ROWS.names), _trajectories(graph, estimates)
+    return pd.DataFrame(rows, columns=schemas.ROWS.names), _trajectories(graph, estimates)
 
 
 def unsolved(rows: pd.DataFrame) -> Iterator[str]:

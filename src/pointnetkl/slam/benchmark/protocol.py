@@ -15,7 +15,7 @@ import pandas as pd
 
 from pointnetkl.registration.covariance import catalogue, gaussian, table
 from pointnetkl.slam.benchmark import authors_slips
-from pointnetkl.slam.benchmark.tables import AUTHORS, TABLE
+from pointnetkl.slam.benchmark.schemas import AUTHORS, TABLE
 from pointnetkl.slam.graph import pose_graph, survey_graph
 from pointnetkl.slam.graph.pose_graph import PoseGraph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph

@@ -18,7 +18,7 @@ from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
 from pointnetkl.registration.streams import Stream
-from pointnetkl.slam.closures import loop_closure, tables
+from pointnetkl.slam.closures import loop_closure, schemas
 from pointnetkl.slam.closures import terrain as closure_terrain
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -106,7 +106,7 @@ def measure(
     measured = compute.in_threads(measure_node, closing_nodes(graph), f"calibrate {graph.survey}")
     by_node = {node.node: node for node in measured}
     rows = [_rows(graph, draw, by_node) for draw in range(len(graph.draws))]
-    names = tables.schema(setup.registration.dimensions).names
+    names = schemas.schema(setup.registration.dimensions).names
     return pd.concat(rows, ignore_index=True)[names], _covariances(graph, measured, setup.registration.dimensions)
 
 
@@ -220,10 +220,10 @@ def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.Da
             "submap": graph.number[closures.node].astype(np.int32),
             "targets": np.bincount(closures.registration, minlength=len(nodes)).astype(np.int32),
             "converged": closures.converged,
-            **{name: [node.description[name] for node in nodes] for name in tables.DESCRIPTION},
+            **{name: [node.description[name] for node in nodes] for name in schemas.DESCRIPTION},
             **{
                 f"{kind}_{axis}": e[:, column]
-                for kind, e in zip(tables.KINDS, errors, strict=True)
+                for kind, e in zip(schemas.KINDS, errors, strict=True)
                 for column, axis in enumerate(axes[: e.shape[1]])
             },
         }

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pandas as pd
 
-from pointnetkl.slam.consistency import map_kernel, tables
+from pointnetkl.slam.consistency import map_kernel, schemas
 from pointnetkl.slam.consistency.consistency_map import Cells
 from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose
@@ -70,7 +70,7 @@ def thinning_table(survey: str, clouds: Sequence[np.ndarray], poses: np.ndarray,
     their pairs have the largest errors there; but the worst pair of a cell is known less surely, which makes it worse.
     With fewer points that answer every distance is longer, so that a map looks worse than it is.
     """
-    return pd.DataFrame([_thinning_row(survey, clouds, poses, cell, thinning) for thinning in tables.THINNINGS])
+    return pd.DataFrame([_thinning_row(survey, clouds, poses, cell, thinning) for thinning in schemas.THINNINGS])
 
 
 def _thinning_row(

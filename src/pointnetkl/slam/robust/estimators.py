@@ -13,7 +13,7 @@ import numpy as np
 
 from pointnetkl.slam.graph import gtsam_search
 from pointnetkl.slam.graph.pose_graph import Edges
-from pointnetkl.slam.robust import tables
+from pointnetkl.slam.robust import schemas
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive
 
@@ -96,7 +96,7 @@ class RobustGraph:
 
     def _kernel(self, kernel: str, start: Solution | None) -> Solution:
         closures, estimator = self._plain, None
-        if kernel != tables.PLAIN:
+        if kernel != schemas.PLAIN:
             estimator = _ESTIMATORS[kernel](getattr(self._thresholds, kernel))
             closures = self._factors([gtsam.noiseModel.Robust.Create(estimator, model) for model in self._models])
         initial = self._initial if start is None else start.values

@@ -9,7 +9,7 @@ from scipy import sparse
 from pointnetkl.slam.graph import footprint
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
-from pointnetkl.slam.robust import tables
+from pointnetkl.slam.robust import schemas
 from pointnetkl.surveys import pose
 
 
@@ -35,14 +35,14 @@ def table(
     as much at poses that nothing has corrected: navigation's, and corrupted ones (each n, 4, 4).
     """
     covering = None if np.isnan(graph.truth).any() else _covering(clouds, graph.truth, cell, coverage)
-    tried = [(tables.GRAPH, draw, _joined(closures.edges, len(clouds))) for draw, closures in enumerate(graph.draws)]
-    tried.append((tables.NAVIGATION, 0, _covering(clouds, graph.navigation, cell, coverage)))
-    tried += [(tables.CORRUPTED, i, _covering(clouds, T, cell, coverage)) for i, T in enumerate(corrupted)]
+    tried = [(schemas.GRAPH, draw, _joined(closures.edges, len(clouds))) for draw, closures in enumerate(graph.draws)]
+    tried.append((schemas.NAVIGATION, 0, _covering(clouds, graph.navigation, cell, coverage)))
+    tried += [(schemas.CORRUPTED, i, _covering(clouds, T, cell, coverage)) for i, T in enumerate(corrupted)]
     rows = [
         {"survey": graph.survey, "at": poses, "draw": draw, **_counts(joined, covering)}
         for poses, draw, joined in tried
     ]
-    return pd.DataFrame(rows, columns=tables.GATE.names)
+    return pd.DataFrame(rows, columns=schemas.GATE.names)
 
 
 def _covering(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float, coverage: float) -> np.ndarray:

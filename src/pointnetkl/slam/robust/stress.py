@@ -17,7 +17,7 @@ from pointnetkl.slam.benchmark.protocol import Methods
 from pointnetkl.slam.graph import gtsam_search, pose_graph, survey_graph, trajectory_error
 from pointnetkl.slam.graph.pose_graph import Edges
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
-from pointnetkl.slam.robust import estimators, false_closures, tables
+from pointnetkl.slam.robust import estimators, false_closures, schemas
 from pointnetkl.slam.robust.estimators import RobustGraph, Solution, Thresholds
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
@@ -87,7 +87,7 @@ def benchmark(experiment: Experiment) -> pd.DataFrame:
     repeat = functools.partial(_repetition, experiment)
     label = f"wrong loop closures, {experiment.graph.survey}"
     repetitions = compute.over(repeat, range(experiment.settings.repetitions), label, unit="repetition")
-    return pd.DataFrame(list(itertools.chain.from_iterable(repetitions)), columns=tables.ROWS.names)
+    return pd.DataFrame(list(itertools.chain.from_iterable(repetitions)), columns=schemas.ROWS.names)
 
 
 def corrupt(experiment: Experiment, repetition: int) -> np.ndarray:
@@ -138,14 +138,14 @@ def _repetition(experiment: Experiment, repetition: int) -> list[dict[str, Any]]
 
 def _solutions(graph: RobustGraph, from_corrupted: bool) -> Iterator[tuple[str, str, Solution | None]]:
     """Yield kernel, start and solution; None where the kernel finds no solution."""
-    first = _attempt(graph, tables.FIRST, None)
-    for kernel in tables.KERNELS:
-        if kernel in (tables.PLAIN, tables.FIRST):
-            yield kernel, tables.CORRUPTED, first if kernel == tables.FIRST else _attempt(graph, kernel, None)
+    first = _attempt(graph, schemas.FIRST, None)
+    for kernel in schemas.KERNELS:
+        if kernel in (schemas.PLAIN, schemas.FIRST):
+            yield kernel, schemas.CORRUPTED, first if kernel == schemas.FIRST else _attempt(graph, kernel, None)
         else:
-            yield kernel, tables.SETTLED, _attempt(graph, kernel, first)
+            yield kernel, schemas.SETTLED, _attempt(graph, kernel, first)
             if from_corrupted:
-                yield kernel, tables.CORRUPTED, _attempt(graph, kernel, None)
+                yield kernel, schemas.CORRUPTED, _attempt(graph, kernel, None)
 
 
 def _attempt(graph: RobustGraph, kernel: str, start: Solution | None) -> Solution | None:
