@@ -22,10 +22,10 @@ def main(arguments: argparse.Namespace) -> None:
     """Read the graph and its submaps; write the errors of its registrations, and a table of covariances."""
     name = arguments.survey
     settings = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
-    graph_settings = parameters.read(arguments.params, "graph", loop_closure.Settings)
     label_settings = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration_settings = parameters.read(arguments.params, "registration", gicp.Settings)
-    file = graph_file.read(arguments.graph, name, registration_settings.dimensions)
+    file = graph_file.read(arguments.graph, name)
+    graph_settings = parameters.from_metadata(file.metadata, "graph", loop_closure.Settings, file.path)
+    registration_settings = parameters.from_metadata(file.metadata, "registration", gicp.Settings, file.path)
     artifacts.require_survey(name, arguments.submaps)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     spacing = submap.read_sampling(arguments.submaps).spacing_m

@@ -16,8 +16,9 @@ from pointnetkl.workflow import artifacts, command, parameters
 def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
     settings = parameters.read(arguments.params, "estimate", estimated.Settings)
-    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    origin = artifacts.table_metadata(arguments.labels)
+    label = parameters.from_metadata(origin, "label", monte_carlo.Settings, arguments.labels)
+    registration = parameters.from_metadata(origin, "registration", gicp.Settings, arguments.labels)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     covariances = method.tabulate(estimated.methods(labels, settings, label, registration), submaps)

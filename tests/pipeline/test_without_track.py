@@ -36,7 +36,7 @@ def test_a_graph_without_a_track_has_nodes_and_no_edge_and_comes_back_from_its_f
     registration = dataclasses.replace(REGISTRATION, dof=dof)
     nodes_only = graph_construction.without_track("toy", submaps, poses, SPACING, SETTINGS, registration)
     artifacts.write_arrays(tmp_path / "toy.npz", survey_graph.to_arrays(nodes_only), {})
-    again = graph_file.read(tmp_path / "toy.npz", "toy", registration.dimensions).graph
+    again = graph_file.read(tmp_path / "toy.npz", "toy").graph
     assert not again.track
     assert np.array_equal(again.gt, poses)
     assert np.isnan(again.truth).all()

@@ -199,13 +199,10 @@ def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps
     """Write what the stage reads; return its command."""
     sampling = {"kind": "pings", "spacing_m": SPACING}
     artifacts.write_table(folder / "submaps.parquet", submap.to_table(survey[0][:submaps]), submap.POINTS, sampling)
-    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(survey[1]), {})
-    sections = {
-        "calibrate": closure_errors.Settings(5, 4),
-        "graph": SETTINGS,
-        "label": LABEL,
-        "registration": REGISTRATION,
-    }
+    made_with = {"graph": SETTINGS, "registration": REGISTRATION}
+    metadata = {name: parameters.as_metadata(values) for name, values in made_with.items()}
+    artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(survey[1]), metadata)
+    sections = {"calibrate": closure_errors.Settings(5, 4), "label": LABEL}
     params = {name: parameters.as_metadata(values) for name, values in sections.items()}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]

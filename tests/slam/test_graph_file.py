@@ -35,7 +35,7 @@ def with_value(name: str, value: float, index: tuple[int, ...] = (0,)) -> dict[s
 
 
 def test_a_graph_comes_back_from_its_file_with_its_metadata(path: Path):
-    file = graph_file.read(write(path), "toy", 2)
+    file = graph_file.read(write(path), "toy")
     again = survey_graph.to_arrays(file.graph)
     assert all(np.array_equal(again[name], array, equal_nan=array.dtype.kind == "f") for name, array in ARRAYS.items())
     assert (file.number("spacing_m"), file.number("graph.cell_factor")) == (0.8, 5.0)
@@ -79,8 +79,6 @@ def test_another_graph_than_was_meant_is_refused(path: Path):
     write(path)
     with pytest.raises(SurveyGraphError, match="is of survey toy, not of baltic"):
         graph_file.read(path, "baltic")
-    with pytest.raises(SurveyGraphError, match=r"have 2 dimensions, and by registration\.dof .* have 3"):
-        graph_file.read(path, "toy", 3)
 
 
 @pytest.mark.parametrize("metadata", [{}, {"graph": 5}, {"graph": {"cell_factor": "5"}}, {"graph": {"cell_factor": 0}}])

@@ -50,11 +50,11 @@ class GraphFile(NamedTuple):
         return float(value)
 
 
-def read(path: Path, survey: str | None = None, dimensions: int | None = None) -> GraphFile:
-    """Return the graph of a file; if given, it must be of this survey, and its registrations have M dimensions.
+def read(path: Path, survey: str | None = None) -> GraphFile:
+    """Return the graph of a file, which must be of the survey, if one is given.
 
     Raises:
-        SurveyGraphError: the graph is damaged, or of another survey, or has other dimensions.
+        SurveyGraphError: the graph is damaged, or of another survey.
         ArtifactError: the file is missing or damaged.
     """
     arrays, metadata = artifacts.read_arrays(path)
@@ -68,11 +68,6 @@ def read(path: Path, survey: str | None = None, dimensions: int | None = None) -
         raise SurveyGraphError(f"{path}: the graph is damaged: {error}; delete it and run dvc repro") from error
     if survey not in (None, graph.survey):
         raise SurveyGraphError(f"{path}: is of survey {graph.survey}, not of {survey}; give the files of one survey")
-    if dimensions not in (None, m := graph.closures.start.shape[1]):
-        raise SurveyGraphError(
-            f"{path}: its registrations have {m} dimensions, and by registration.dof of the parameters they would"
-            f" have {dimensions}; run dvc repro graph@{graph.survey}"
-        )
     return GraphFile(path, graph, metadata)
 
 
