@@ -114,7 +114,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the graph, submaps and covariances of survey toy, and those of a survey of as many submaps."""
     folder, (submaps, toy_graph) = tmp_path_factory.mktemp("toy"), graph()
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
-    made_with = {name: params[name] for name in ("graph", "registration")}
+    made_with = {"graph": params["graph"] | {"draws": len(toy_graph.draws)}, "registration": params["registration"]}
     artifacts.write_arrays(folder / "toy.npz", survey_graph.to_arrays(toy_graph), made_with)
     artifacts.write_arrays(folder / "bare.npz", survey_graph.to_arrays(toy_graph), {})
     for name in ("toy", "other"):
