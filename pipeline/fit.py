@@ -17,10 +17,12 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
     settings = parameters.read(arguments.params, "fit", fitting.Settings)
-    label = parameters.read(arguments.params, "label", monte_carlo.Settings)
-    registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    setup = SelfRegistration(settings.seed, label, registration)
     surveys = list(study.read(arguments.params).train)
+    labels = arguments.training / surveys[0] / "labels.parquet"
+    origin = artifacts.table_metadata(labels)  # stage train refuses training surveys whose labels differ in it
+    label = parameters.from_metadata(origin, "label", monte_carlo.Settings, labels)
+    registration = parameters.from_metadata(origin, "registration", gicp.Settings, labels)
+    setup = SelfRegistration(settings.seed, label, registration)
     fits = learned.fit(read_training(arguments.training, surveys, setup), settings)
     learned.write(arguments.fits, fits, {"fit": parameters.as_metadata(settings), "surveys": surveys})
     for name, fit in fits.fits.items():
