@@ -17,7 +17,7 @@ from pointnetkl.workflow import artifacts, command, parameters, study
 def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
     settings = parameters.read(arguments.params, "fit", fitting.Settings)
-    surveys = list(study.read(arguments.params).train)
+    surveys = study.training_surveys(arguments.params)
     labels = arguments.training / surveys[0] / "labels.parquet"
     origin = artifacts.table_metadata(labels)  # stage train refuses training surveys whose labels differ in it
     label = parameters.from_metadata(origin, "label", monte_carlo.Settings, labels)

@@ -26,7 +26,7 @@ SETS = ("training", "validation")
 def main(arguments: argparse.Namespace) -> None:
     """Train, and write everything."""
     kind, settings = read_kind(arguments.params, arguments.model)
-    surveys = list(study.read(arguments.params).train)
+    surveys = study.training_surveys(arguments.params)
     samples, voxel = dataset.read(arguments.training, surveys)
     label, registration = dataset.made_with(arguments.training, surveys)
     with_traits = dataset.with_descriptions(arguments.training, samples, novelty.traits)

@@ -177,3 +177,10 @@ def test_a_survey_whose_line_names_the_other_group_is_refused(tmp_path: Path):
     path.write_text(f"study:\n  train: {{}}\n  test: {{x: {line}}}\n  surveys: {{}}\n")
     with pytest.raises(parameters.SettingsError, match=r"test\.x\.group is 'train', must be test"):
         study.read(path)
+
+
+def test_a_study_without_a_training_survey_cannot_train(tmp_path: Path):
+    path = tmp_path / "params.yaml"
+    path.write_text("study: {train: {}, test: {}, surveys: {}}\n")
+    with pytest.raises(parameters.SettingsError, match=r"study\.train names no survey"):
+        study.training_surveys(path)

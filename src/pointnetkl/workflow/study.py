@@ -78,6 +78,17 @@ def read(path: Path) -> Study:
     return parameters.read(path, "study", Study)
 
 
+def training_surveys(path: Path) -> list[str]:
+    """Return the names of the training surveys.
+
+    Raises:
+        SettingsError: there is none, or a line is wrong.
+    """
+    if not (names := list(read(path).train)):
+        raise parameters.SettingsError(f"{path}: study.train names no survey; models and fits need one at least")
+    return names
+
+
 def survey(path: Path, name: str) -> StudySurvey:
     """Return one survey's line; other surveys' lines are not checked.
 
