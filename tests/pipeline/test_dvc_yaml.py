@@ -145,12 +145,12 @@ def test_a_new_test_survey_reaches_only_its_own_stages_and_the_report():
         "calibrate",
         "stress",
     }
-    gathering = {
+    others = {
         name
         for name in STAGES
-        if name not in per_survey | {"gather"} and any(reads(name, out) for stage in per_survey for out in outs(stage))
+        if name not in per_survey and any(reads(name, out) for stage in per_survey for out in outs(stage))
     }
-    assert gathering == {"report"}
+    assert others == {"report"}
 
 
 def test_every_stage_says_what_it_does():
@@ -159,7 +159,7 @@ def test_every_stage_says_what_it_does():
 
 def test_every_section_of_a_stage_that_draws_has_its_own_seed():
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
-    sections = {name: params[name] for name in STAGES if name not in ("simulate", "gather", "train")}
+    sections = {name: params[name] for name in STAGES if name not in ("simulate", "train")}
     assert {name for name, section in sections.items() if "seed" not in section} == {"ingest", "voxelise"}
     assert all("seed" in survey for survey in params["simulate"].values())
     assert all("seed" in model["train"] for model in params["models"].values())

@@ -117,8 +117,8 @@ class Test:
 
     covariances: Mapping[str, np.ndarray]  # by method: (k, M, M), in the order of the labels
     held_out: np.ndarray  # (k, H, M) registration errors, metres and radians, that no label has seen
-    slam: pd.DataFrame  # schema slam.benchmark.tables.ROWS
-    trajectories: pd.DataFrame  # schema slam.benchmark.tables.TRAJECTORIES
+    slam: pd.DataFrame  # schema slam.benchmark.schemas.ROWS
+    trajectories: pd.DataFrame  # schema slam.benchmark.schemas.TRAJECTORIES
     gt: np.ndarray  # (n, 4, 4) T_map_submap of navigation optimised with the labels
     loop_closures: np.ndarray  # (e, 2) nodes k and i of each edge
     registered: np.ndarray  # (r,) submaps whose registrations the edges come from

@@ -2,8 +2,8 @@
 
 `registration.reference` has the same method in plain NumPy: read it first.
 
-With C = I - (1 - epsilon) n n^T for both points of a match, the weight M = (C_q + R C_p R^T)^-1 needs the two normals
-alone. Without yaw it does not change while the match stands, so the cost sum d^T M d is quadratic in the translation:
+With C = I - (1 - epsilon) n n^T for both points of a match, the weight W = (C_q + R C_p R^T)^-1 needs the two normals
+alone. Without yaw it does not change while the match stands, so the cost sum d^T W d is quadratic in the translation:
 one 2 x 2 solve per re-matching. The sums of that solve are kept, and changed only by the points whose match changes.
 """
 

@@ -15,7 +15,7 @@ class Registration:
     """Outcome of aligning one cloud with another."""
 
     T_target_source: SE2  # from the source's coordinates to the target's, both with the origin at the target's centre
-    # (M, M) 1/m^2 and 1/rad^2, yaw about the target's centre: the sum of J^T M J over the matches at the solution, J
+    # (M, M) 1/m^2 and 1/rad^2, yaw about the target's centre: the sum of J^T W J over the matches at the solution, J
     # the Jacobian of (x, y) or (x, y, yaw); zero without any match
     information: np.ndarray
     converged: bool
@@ -27,7 +27,7 @@ class Registration:
 class Registrations:
     """Outcomes of aligning b noisy copies of one cloud with another."""
 
-    T_target_copy: SE2  # (b) motions from the moved, noisy copies' coordinates, likewise about the target's centre
+    T_target_copy: SE2  # (b) motions from the coordinates of the moved, noisy copies, also about the target's centre
     converged: np.ndarray  # (b,) bool
     iterations: np.ndarray  # (b,) int32
 

@@ -61,7 +61,8 @@ def dependence(shown: Blocks) -> Section:
             " at the size of Table III's submaps.",
             "spacing": "Both eigenvalues of each submap's label against point spacing, under the label stage's noise.",
             "noise": "Both eigenvalues of each submap's label by the noise of the copy, at the survey's own spacing."
-            " Without noise the copy of `same` is the cloud itself and is table exactly: lines leave at the bottom.",
+            " Without noise the copy of `same` is the cloud itself: its registration recovers the motion exactly, and"
+            " the line runs off the bottom.",
         },
         (
             "The two halves of `split` are drawn once, so all runs of a label share the offset between them. On rugged"
