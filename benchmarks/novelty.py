@@ -48,8 +48,8 @@ def main(arguments: argparse.Namespace) -> None:
 
 def read(data: Path, name: str) -> tuple[list[np.ndarray], np.ndarray]:
     """Return a survey's submaps and their labels (k, M, M)."""
-    submaps = submap.from_table(name, artifacts.read_table(data / f"submaps/{name}.parquet", submap.POINTS))
-    labels = artifacts.read_table(data / f"labels/{name}.parquet", dataset.LABEL, also=table.YAW)
+    submaps = submap.from_table(name, artifacts.read_table(data / "test" / name / "submaps.parquet", submap.POINTS))
+    labels = artifacts.read_table(data / "test" / name / "labels.parquet", dataset.LABEL, also=table.YAW)
     return [each.points for each in submaps], table.to_matrices(labels)
 
 

@@ -34,7 +34,9 @@ def main(arguments: argparse.Namespace) -> None:
     models = trained.load_all([arguments.model], label_settings, registration_settings)
     predicted = overlap.tabulate(models, file.graph, submaps, setup.reach_m)
     covariances = pd.concat([measured, predicted], ignore_index=True)
-    metadata = {"survey": name, "calibrate": parameters.as_metadata(settings), "graph": file.metadata}
+    sections = {"calibrate": settings, "label": label_settings}
+    metadata = {"survey": name, "graph": file.metadata}
+    metadata |= {section: parameters.as_metadata(values) for section, values in sections.items()}
     dimensions = registration_settings.dimensions
     artifacts.write_table(arguments.closures, rows, schemas.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)

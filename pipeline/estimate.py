@@ -19,6 +19,7 @@ def main(arguments: argparse.Namespace) -> None:
     origin = artifacts.table_metadata(arguments.labels)
     label = parameters.from_metadata(origin, "label", monte_carlo.Settings, arguments.labels)
     registration = parameters.from_metadata(origin, "registration", gicp.Settings, arguments.labels)
+    artifacts.require_survey(arguments.survey, arguments.submaps, arguments.labels)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     labels = artifacts.read_table(arguments.labels, label_table.schema(registration.dimensions))
     covariances = method.tabulate(estimated.methods(labels, settings, label, registration), submaps)
@@ -30,7 +31,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("survey")
+    parser.add_argument("survey", help="the survey's name in study.surveys")
     parser.add_argument("--submaps", type=Path, required=True)
     parser.add_argument("--labels", type=Path, required=True)
     parser.add_argument("--covariances", type=Path, required=True)

@@ -18,16 +18,26 @@ def main(arguments: argparse.Namespace) -> None:
     """Fit every method, write the numbers and print them."""
     settings = parameters.read(arguments.params, "fit", fitting.Settings)
     surveys = study.training_surveys(arguments.params)
-    labels = arguments.training / surveys[0] / "labels.parquet"
-    origin = artifacts.table_metadata(labels)  # stage train refuses training surveys whose labels differ in it
-    label = parameters.from_metadata(origin, "label", monte_carlo.Settings, labels)
-    registration = parameters.from_metadata(origin, "registration", gicp.Settings, labels)
+    label, registration = read_settings([arguments.training / name / "labels.parquet" for name in surveys])
     setup = SelfRegistration(settings.seed, label, registration)
     fits = learned.fit(read_training(arguments.training, surveys, setup), settings)
     learned.write(arguments.fits, fits, {"fit": parameters.as_metadata(settings), "surveys": surveys})
     for name, fit in fits.fits.items():
         numbers = ", ".join(f"{key} {value:.4g}" for key, value in fit.numbers.items())
         print(f"{name}: {numbers}; mean KL {fit.mean_kl:.4f} nats over {fits.submaps} training submaps")
+
+
+def read_settings(paths: list[Path]) -> tuple[monte_carlo.Settings, gicp.Settings]:
+    """Return the settings that made the labels of all files, which must be the same."""
+    made_with = []
+    for path in paths:
+        metadata = artifacts.table_metadata(path)
+        label = parameters.from_metadata(metadata, "label", monte_carlo.Settings, path)
+        registration = parameters.from_metadata(metadata, "registration", gicp.Settings, path)
+        made_with.append((label, registration))
+        if made_with[-1] != made_with[0]:
+            raise fitting.FittingError(f"{path}: was made with other settings than {paths[0]}; run dvc repro label")
+    return made_with[0]
 
 
 def read_training(folder: Path, surveys: list[str], setup: SelfRegistration) -> fitting.Training:

@@ -54,7 +54,7 @@ def padded(errors: list[np.ndarray]) -> np.ndarray:
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("survey")
+    parser.add_argument("survey", help="the survey's name in study.surveys")
     parser.add_argument("--submaps", type=Path, required=True, help="points of the survey's submaps, Parquet")
     parser.add_argument("--shards", type=Path, required=True, help="folder that keeps labels as they are computed")
     parser.add_argument("--labels", type=Path, required=True, help="labels to write, Parquet")

@@ -17,6 +17,7 @@ def main(arguments: argparse.Namespace) -> None:
     """Write the survey's covariance table."""
     settings = parameters.read(arguments.params, "predict", learned.Settings)
     fits = learned.read(arguments.fits)
+    artifacts.require_survey(arguments.survey, arguments.submaps)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     models = trained.load_all(arguments.models, fits.label, fits.registration)
     covariances = method.tabulate([*learned.methods(fits, settings.seed), *models], submaps)
@@ -28,7 +29,7 @@ def main(arguments: argparse.Namespace) -> None:
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("survey")
+    parser.add_argument("survey", help="the survey's name in study.surveys")
     parser.add_argument("--submaps", type=Path, required=True)
     parser.add_argument("--models", type=Path, nargs="+", required=True, help="trained ones; data/none is none")
     parser.add_argument("--fits", type=Path, required=True)

@@ -22,6 +22,7 @@ def main(arguments: argparse.Namespace) -> None:
     settings = parameters.read(arguments.params, "vary", sensitivity.Settings)
     label = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    artifacts.require_survey(arguments.survey, arguments.submaps)
     numbers = choose(arguments.survey, arguments.submaps, settings.submaps, registration)
     rows = functools.partial(
         sensitivity.rows,
@@ -51,7 +52,7 @@ def choose(survey: str, path: Path, count: int, registration: gicp.Settings) -> 
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("survey")
+    parser.add_argument("survey", help="the survey's name in study.surveys")
     parser.add_argument("--submaps", type=Path, required=True, help="points of the survey's submaps, Parquet")
     parser.add_argument("--variations", type=Path, required=True, help="labels to write, Parquet")
     command.run(main, parser)

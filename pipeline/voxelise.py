@@ -13,6 +13,7 @@ from pointnetkl.workflow import artifacts, command, compute, parameters
 def main(arguments: argparse.Namespace) -> None:
     """Read a survey's submaps; write their clouds."""
     settings = parameters.read(arguments.params, "voxelise", voxel.Settings)
+    artifacts.require_survey(arguments.name, arguments.submaps)
     submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
     clouds = voxel.Clouds.join(
         [cloud.number for cloud in submaps],

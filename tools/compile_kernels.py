@@ -40,7 +40,7 @@ def toy() -> np.ndarray:
 def register(points: np.ndarray) -> None:
     """Register, label and describe a cloud."""
     settings = parameters.read(PARAMS, "registration", gicp.Settings)
-    label = dataclasses.replace(parameters.read(PARAMS, "label", monte_carlo.Settings), held_out_runs=2)
+    label = dataclasses.replace(parameters.read(PARAMS, "label", monte_carlo.Settings), held_out_runs=2, engine="cpu")
     monte_carlo.label(Submap("toy", 0, points, points[::2], points[1::2]), 20, label, settings)
     cloud = gicp.prepare(points, settings)
     gicp.register(cloud, cloud, settings)
@@ -52,8 +52,8 @@ def sail() -> None:
     settings = next(iter(parameters.read(PARAMS, "simulate", dict[str, simulation.Settings]).values()))
     layout = dataclasses.replace(settings.layout, lines=1, line_length_m=60.0)
     settings = dataclasses.replace(settings, layout=layout, grid=str(PARAMS.parent / settings.grid))
-    craft = parameters.read(PARAMS, f"vehicles.{settings.vehicle}", vehicle.Settings)
-    list(simulation.survey(settings, craft, simulation.ground(settings)))
+    platform = parameters.read(PARAMS, f"vehicles.{settings.vehicle}", vehicle.Settings)
+    list(simulation.survey(settings, platform, simulation.ground(settings)))
 
 
 if __name__ == "__main__":

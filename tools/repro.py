@@ -34,8 +34,12 @@ def main() -> int:
 
 def announce() -> None:
     """Print the scale that params.yaml holds."""
-    study = yaml.safe_load((ROOT / "params.yaml").read_text())["study"]
-    print(f"scale: {study['scale']}, {len(study['train'])} training and {len(study['test'])} test surveys")
+    try:
+        study = yaml.safe_load((ROOT / "params.yaml").read_text())["study"]
+        counts = len(study["train"]), len(study["test"])
+    except (OSError, yaml.YAMLError, KeyError, TypeError):
+        return  # DVC says what is wrong with the file
+    print(f"scale: {study['scale']}, {counts[0]} training and {counts[1]} test surveys")
 
 
 def follow(command: list[str], environment: dict[str, str]) -> tuple[int, dict[str, float]]:

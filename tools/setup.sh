@@ -67,6 +67,6 @@ echo "  installing the packages of requirements.lock (a few minutes)"
   exit 1
 }
 echo "  compiling the registration's kernels (half a minute)"
-.venv/bin/python tools/compile_kernels.py
+.venv/bin/python tools/compile_kernels.py || echo "  not compiled (see above): the first run compiles them"
 touch .venv/complete
 echo "  done: make repro, make test; or: source .venv/bin/activate && dvc repro"

@@ -206,7 +206,7 @@ def test_learned_methods_give_a_covariance_for_every_submap(fits):
 
 
 def test_the_mean_kl_of_a_fit_is_that_of_its_method(fits, labels):
-    # what is remembered is judged without the submap's own block: tests/test_cello.py
+    # what is remembered is judged without the submap's own block: tests/methods/test_cello.py
     for each in (m for m in learned.methods(fits, SETUP.seed) if not fits.fits[m.name].rows):
         q = np.stack([each.covariance(s) for s in SUBMAPS])
         assert fitting.mean_kl(table.to_matrices(labels), q, 0.01) == pytest.approx(fits.fits[each.name].mean_kl)

@@ -88,3 +88,12 @@ def test_the_sampling_of_a_survey_travels_with_its_submaps(tmp_path: Path):
     artifacts.write_table(path, submap.to_table([]), submap.POINTS, {"kind": "points"})
     with pytest.raises(SubmapError, match="does not say its survey's kind and spacing_m"):
         submap.read_sampling(path)
+
+
+@pytest.mark.parametrize("spacing", [float("nan"), -1.0, 0.0])
+def test_a_spacing_that_makes_no_sense_is_refused(tmp_path: Path, spacing: float):
+    path = tmp_path / "submaps.parquet"
+    nothing = submap.POINTS.empty_table().to_pandas()
+    artifacts.write_table(path, nothing, submap.POINTS, {"kind": "pings", "spacing_m": spacing})
+    with pytest.raises(submap.SubmapError, match="spacing_m is .*, must be a number above zero"):
+        submap.read_sampling(path)

@@ -184,3 +184,11 @@ def test_a_study_without_a_training_survey_cannot_train(tmp_path: Path):
     path.write_text("study: {train: {}, test: {}, surveys: {}}\n")
     with pytest.raises(parameters.SettingsError, match=r"study\.train names no survey"):
         study.training_surveys(path)
+
+
+def test_a_survey_is_looked_for_in_the_list_that_its_group_names(tmp_path: Path):
+    line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    path = tmp_path / "params.yaml"
+    path.write_text(f"study:\n  train: {{}}\n  test: {{x: {line}}}\n  surveys: {{x: {line}}}\n")
+    with pytest.raises(parameters.SettingsError, match="x.group is 'train', but study.train has no x"):
+        study.survey(path, "x")

@@ -57,7 +57,7 @@ def solve(graph: Graph) -> Solution:
 
 
 def solve_robust(graph: Graph, doubted: np.ndarray, kernel: str, thresholds: Thresholds) -> tuple[Solution, np.ndarray]:
-    """Return the solution by one of robust.tables.KERNELS, and the weights, 0 to 1, of the doubted edges (d,).
+    """Return the solution by one of robust.schemas.KERNELS, and the weights, 0 to 1, of the doubted edges (d,).
 
     The search starts from the solution of kernel FIRST, which succeeds from poses that are far off.
 

@@ -67,7 +67,7 @@ def _quantities(name: str, numbers: Numbers, larger_m2: np.ndarray) -> dict[str,
 def _cut(quantities: Mapping[str, Mapping[str, float]], share: int) -> dict[str, dict[str, float]]:
     """Return at most `share` of a survey's numbers, in the order that they had."""
     kept = set(islice(_by_importance(quantities), share))
-    cut = {key: {n: value for n, value in of.items() if (key, n) in kept} for key, of in quantities.items()}
+    cut = {key: {n: value for n, value in numbers.items() if (key, n) in kept} for key, numbers in quantities.items()}
     return {key: values for key, values in cut.items() if values}
 
 

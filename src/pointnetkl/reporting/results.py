@@ -84,8 +84,10 @@ class Folders:
         """Refuse to begin while an artifact is missing.
 
         Raises:
-            ResultsError: names the first one.
+            ResultsError: names the first one; or there is no test survey.
         """
+        if not self.study.test:
+            raise ResultsError("study.test in params.yaml names no survey; a report needs one at least")
         missing = [path for path in self.expected() if not path.is_file()]
         if missing:
             raise ResultsError(
@@ -185,8 +187,8 @@ def read_points(folders: Folders, name: str) -> tuple[list[np.ndarray], pd.DataF
     poses = artifacts.read_table(folders.product(name, "poses.parquet"), submap.POSES)
     number, points = rows["submap"].to_numpy(), rows[["x_m", "y_m", "z_m"]].to_numpy(np.float64)
     order = np.argsort(number, kind="stable")
-    found, starts = np.unique(number[order], return_index=True)
-    if not np.array_equal(found, poses["submap"].to_numpy()):
+    submaps, starts = np.unique(number[order], return_index=True)
+    if not np.array_equal(submaps, poses["submap"].to_numpy()):
         raise ResultsError(f"{path}: its submaps are not those of their poses; run dvc repro segment@{name}")
     return np.split(points[order], starts[1:]), poses
 

@@ -111,16 +111,19 @@ def read_sampling(path: Path) -> Sampling:
     """Return the sampling that is written with a table of POINTS or POSES.
 
     Raises:
-        SubmapError: the table has none.
+        SubmapError: the table has none, or one that makes no sense.
         ArtifactError: the file is missing or damaged.
     """
     metadata = artifacts.table_metadata(path)
     try:
-        return Sampling(str(metadata["kind"]), float(metadata["spacing_m"]))
+        sampling = Sampling(str(metadata["kind"]), float(metadata["spacing_m"]))
     except (KeyError, TypeError, ValueError) as error:
+        raise SubmapError(f"{path}: does not say its survey's kind and spacing_m; run dvc repro segment") from error
+    if not 0 < sampling.spacing_m < np.inf:
         raise SubmapError(
-            f"{path}: does not say its survey's kind and spacing_m ({error}); run dvc repro segment"
-        ) from error
+            f"{path}: its spacing_m is {sampling.spacing_m:g}, must be a number above zero; run dvc repro segment"
+        )
+    return sampling
 
 
 def poses_from_table(table: pd.DataFrame) -> np.ndarray:

@@ -10,10 +10,14 @@ _CPUINFO = Path("/proc/cpuinfo")
 
 
 def processor() -> str:
-    """Return the name of the processor, as the system gives it."""
+    """Return the name of the processor, as the system gives it, with family and model: a cloud may mask the name."""
     lines = _CPUINFO.read_text().splitlines() if _CPUINFO.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
+    pairs = (line.partition(":") for line in reversed(lines) if ":" in line)  # the first processor's come last
+    entries = {key.strip(): value.strip() for key, _, value in pairs}
+    if "model name" not in entries:
+        return platform.processor() or platform.machine()
+    numbers = [f"{key.removeprefix('cpu ')} {entries[key]}" for key in ("cpu family", "model") if key in entries]
+    return entries["model name"] + (f" ({', '.join(numbers)})" if numbers else "")
 
 
 def describe() -> dict[str, Any]:

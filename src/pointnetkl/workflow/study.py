@@ -93,6 +93,12 @@ def survey(path: Path, name: str) -> StudySurvey:
     """Return one survey's line; other surveys' lines are not checked.
 
     Raises:
-        SettingsError: there is no such survey, or its line is wrong.
+        SettingsError: there is no such survey, its line is wrong, or its group has no line of that name.
     """
-    return parameters.read(path, f"study.surveys.{name}", StudySurvey)
+    line = parameters.read(path, f"study.surveys.{name}", StudySurvey)
+    if name not in parameters.read(path, f"study.{line.group}", dict):
+        raise parameters.SettingsError(
+            f"{path}: study.surveys.{name}.group is {line.group!r}, but study.{line.group} has no {name}; write the"
+            " name of the list that the line stands in"
+        )
+    return line

@@ -44,7 +44,7 @@ class _Estimate(NamedTuple):
 def benchmark(
     graph: SurveyGraph, methods: Methods, map_errors: Mapping[str, MapError], settings: Settings
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the benchmark's tables (tables.ROWS, tables.TRAJECTORIES) for covariances by method and submap.
+    """Return the benchmark's tables (schemas.ROWS, schemas.TRAJECTORIES) for covariances by method and submap.
 
     `map_errors` holds, by column, functions that return the map's error in metres for poses (n, 4, 4). The errors of a
     graph without a solution are NaN (see `unsolved`). Workers share the blocks (see `compute`); progress is shown.
@@ -67,7 +67,7 @@ def benchmark(
 
 
 def unsolved(rows: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for every variant and method of tables.ROWS of which some repetitions have no solution."""
+    """Yield a sentence for every variant and method of schemas.ROWS of which some repetitions have no solution."""
     for (survey, variant, method), runs in rows.groupby(["survey", "variant", "method"], sort=False):
         if missing := int(runs["rmse_xyz_m"].isna().sum()):
             yield (

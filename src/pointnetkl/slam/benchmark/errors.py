@@ -13,7 +13,7 @@ _CHI2_2_MEDIAN = 2 * np.log(2)  # of e^T C^-1 e, two degrees of freedom, where C
 
 
 def errors(graph: SurveyGraph, edges: Edges, poses: np.ndarray) -> dict[str, float]:
-    """Return the errors of poses (n, 4, 4) in metres, by the names of tables.ROWS; NaN where the truth is not known.
+    """Return the errors of poses (n, 4, 4) in metres, by the names of schemas.ROWS; NaN where the truth is not known.
 
     Each in three ways: as it is, after the best motion in the plane (SE(2)), and after the best motion in the plane
     and in height (4-DoF). `truth_relative_m` is of the pairs that `edges` join.

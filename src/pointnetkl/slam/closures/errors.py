@@ -79,7 +79,7 @@ class ClosingNode:
 @dataclass(frozen=True)
 class _Measured:
     node: int
-    description: dict[str, float]  # columns tables.DESCRIPTION
+    description: dict[str, float]  # columns schemas.DESCRIPTION
     placed: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
     covariances: dict[str, np.ndarray]  # SPLIT and PAIR, (M, M)
 

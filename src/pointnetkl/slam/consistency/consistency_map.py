@@ -86,7 +86,7 @@ def read_origin(path: Path) -> tuple[tuple[float, float], str]:
 
 
 def cells_by_trajectory(trajectories: pd.DataFrame, measure: Callable[[np.ndarray], Cells]) -> dict[str, Cells]:
-    """Return what `measure` makes of the poses (n, 4, 4) of each trajectory in a table benchmark.tables.TRAJECTORIES.
+    """Return what `measure` makes of the poses (n, 4, 4) of each trajectory in a table benchmark.schemas.TRAJECTORIES.
 
     The poses are levelled: the table lacks a solution's roll and pitch, which are some ten-thousandths of a radian.
     """

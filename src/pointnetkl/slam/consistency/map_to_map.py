@@ -64,7 +64,7 @@ class MapToMap:
 
 
 def thinning_table(survey: str, clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> pd.DataFrame:
-    """Return the map-to-map error by thinning (tables.THINNING): clouds (n_i, 3), poses (n, 4, 4), cells in metres.
+    """Return the map-to-map error by thinning (schemas.THINNING): clouds (n_i, 3), poses (n, 4, 4), cells in metres.
 
     Thinning changes the measure. With fewer points that ask, submaps that barely reach into a cell are overlooked, and
     their pairs have the largest errors there; but the worst pair of a cell is known less surely, which makes it worse.

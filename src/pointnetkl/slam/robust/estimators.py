@@ -82,7 +82,7 @@ class RobustGraph:
         self._plain = self._factors(self._models)
 
     def solve(self, kernel: str, start: Solution | None = None) -> Solution:
-        """Return the solution by one of tables.KERNELS, from an earlier solution or else from the initial poses.
+        """Return the solution by one of schemas.KERNELS, from an earlier solution or else from the initial poses.
 
         Raises:
             RobustError: the linear system has no solution, or the answer is not finite.

@@ -29,7 +29,7 @@ def coverages(clouds: Sequence[np.ndarray], poses: np.ndarray, cell: float) -> n
 def table(
     graph: SurveyGraph, clouds: Sequence[np.ndarray], corrupted: Sequence[np.ndarray], cell: float, coverage: float
 ) -> pd.DataFrame:
-    """Return the gate's counts (tables.GATE) for pairs of which the earlier covers `coverage` of the later.
+    """Return the gate's counts (schemas.GATE) for pairs of which the earlier covers `coverage` of the later.
 
     Rows are for the graph's loop closures, which Algorithm 1 found at GT as it corrected it, and for pairs that cover
     as much at poses that nothing has corrected: navigation's, and corrupted ones (each n, 4, 4).

@@ -83,7 +83,7 @@ def select_methods(covariances: Methods, settings: Settings, survey: str) -> dic
 
 
 def benchmark(experiment: Experiment) -> pd.DataFrame:
-    """Return tables.ROWS; repetitions run in parallel, and a survey that closes no loop has only share 0."""
+    """Return schemas.ROWS; repetitions run in parallel, and a survey that closes no loop has only share 0."""
     repeat = functools.partial(_repetition, experiment)
     label = f"wrong loop closures, {experiment.graph.survey}"
     repetitions = compute.over(repeat, range(experiment.settings.repetitions), label, unit="repetition")
