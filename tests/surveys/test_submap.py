@@ -95,5 +95,5 @@ def test_a_spacing_that_makes_no_sense_is_refused(tmp_path: Path, spacing: float
     path = tmp_path / "submaps.parquet"
     nothing = submap.POINTS.empty_table().to_pandas()
     artifacts.write_table(path, nothing, submap.POINTS, {"kind": "pings", "spacing_m": spacing})
-    with pytest.raises(submap.SubmapError, match="spacing_m is .*, must be a number above zero"):
+    with pytest.raises(submap.SubmapError, match=r"spacing_m is .*, must be a number above zero"):
         submap.read_sampling(path)

@@ -190,5 +190,5 @@ def test_a_survey_is_looked_for_in_the_list_that_its_group_names(tmp_path: Path)
     line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
     path = tmp_path / "params.yaml"
     path.write_text(f"study:\n  train: {{}}\n  test: {{x: {line}}}\n  surveys: {{x: {line}}}\n")
-    with pytest.raises(parameters.SettingsError, match="x.group is 'train', but study.train has no x"):
+    with pytest.raises(parameters.SettingsError, match=r"x\.group is .train., but study\.train has no x"):
         study.survey(path, "x")
