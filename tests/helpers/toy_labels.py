@@ -49,7 +49,7 @@ def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 10
     params = {
         "label": parameters.as_metadata(SETTINGS),
         "registration": parameters.as_metadata(REGISTRATION),
-        "study": {"surveys": {"toy": line}},
+        "study": {"train": {"toy": line}, "surveys": {"toy": line}},
     }
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     return folder

@@ -159,7 +159,7 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any]):
 @pytest.mark.slow
 def test_the_stage_writes_the_same_table_whatever_the_workers(tmp_path: Path, path: Path):
     params = (ROOT / "params.yaml").read_text()
-    line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
+    line = "{group: test, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
     text = params.replace("  test: &test\n", f"  test: &test\n    small: {line}\n")
     for old, new in (("submaps: 3  # of each", "submaps: 2  #"), ("runs: 9000  # parts", "runs: 60  # parts")):
         assert text.count(old) == 1

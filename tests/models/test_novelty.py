@@ -91,8 +91,8 @@ def test_what_is_the_same_in_all_training_submaps_may_differ_a_little():
 def test_the_benchmark_counts_what_is_flagged(tmp_path: Path):
     drawn = [submaps.Submap("mine", i, *3 * [submap(1.0, 50 + i)]) for i in range(8)]
     labels = pd.DataFrame({"submap": range(8), "q_xx_m2": 1.0, "q_xy_m2": 0.0, "q_yy_m2": 1.0})
-    artifacts.write_table(tmp_path / "submaps/mine.parquet", submaps.to_table(drawn), submaps.POINTS, {})
-    artifacts.write_table(tmp_path / "labels/mine.parquet", labels, dataset.LABEL, {})
+    artifacts.write_table(tmp_path / "test/mine/submaps.parquet", submaps.to_table(drawn), submaps.POINTS, {})
+    artifacts.write_table(tmp_path / "test/mine/labels.parquet", labels, dataset.LABEL, {})
     words = ["benchmarks/novelty.py", "mine", "--data", tmp_path, "--model", toy_models.write(tmp_path, "pointnetkl")]
     result = subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

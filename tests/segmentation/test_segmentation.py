@@ -225,7 +225,7 @@ def test_the_stage_writes_submaps_and_poses_or_says_what_is_wrong(tmp_path: Path
     artifacts.write_table(tmp_path / "pings.parquet", small.pings, survey.PINGS, {})
     artifacts.write_table(tmp_path / "soundings.parquet", small.soundings, survey.SOUNDINGS, {})
     line = "{group: train, raw: a, truth: data/none, submap_length_m: 100, point_spacing_m: 4.0, label_runs: 9}"
-    params = f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{surveys: {{small: {line}}}}}\n"
+    params = f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{train: {{small: {line}}}, surveys: {{small: {line}}}}}\n"
     (tmp_path / "params.yaml").write_text(params)
     done = segment_stage(tmp_path)
     assert done.returncode == 0, done.stderr

@@ -203,7 +203,7 @@ def segment_stage(folder: Path, kind: str, soundings: pd.DataFrame, pings: pd.Da
     lengths = f"submap_length_m: {EDGE_M}, point_spacing_m: {SPACING_M}"
     line = f"{{group: train, raw: a, truth: data/none, {lengths}, label_runs: 9}}"
     (folder / "params.yaml").write_text(
-        f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{surveys: {{shoal: {line}}}}}\n"
+        f"segment: {{seed: 1, max_gap_m: 30.0}}\nstudy: {{train: {{shoal: {line}}}, surveys: {{shoal: {line}}}}}\n"
     )
     paths = ["--survey", ".", "--submaps", "submaps.parquet", "--poses", "poses.parquet"]
     script = [sys.executable, ROOT / "pipeline/segment.py", "shoal", *paths]
