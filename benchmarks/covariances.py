@@ -1,7 +1,10 @@
 """KL divergence and calibration of every method, without the SLAM that a report needs; and leave-one-class-out.
 
-For runs too large to finish: it reads what label, estimate and predict have made below --data, of the test surveys
-that have all three, and writes metrics.json, kl.csv, classes.csv and leave_one_class_out.csv below --out.
+For runs too large to finish: it reads what label, train, estimate and predict have made below --data, --models and
+--reports, of the test surveys that have labels and covariances. It writes below --out: metrics.json, kl.csv, Table II
+(tables/table_2), every measure by terrain class and by the size of the label (tables/terrain, classes.csv), how each
+model was trained (loss_<model>.csv, figures/training.png, models/<model>.md), the submaps that --drawn is worst and
+best at (figures/), and leave_one_class_out.csv.
 """
 
 import argparse
@@ -18,9 +21,13 @@ from pointnetkl.models import model, model_file
 from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.reporting import report, results, terrain, text_table
+from pointnetkl.reporting import model_card, report, results, terrain, text_table
+from pointnetkl.reporting.covariances import cases, ellipse_plots, tables
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
+from pointnetkl.reporting.drawing import plots
+from pointnetkl.reporting.labels import figures as label_figures
+from pointnetkl.reporting.labels import training
 from pointnetkl.training import dataset, device, loop
 from pointnetkl.workflow import artifacts, parameters
 from pointnetkl.workflow import study as studies
@@ -29,7 +36,7 @@ from pointnetkl.workflow import study as studies
 def main(arguments: argparse.Namespace) -> None:
     """Judge every survey, then leave out one class after the other."""
     params = arguments.params
-    folders = results.Folders(arguments.data, Path("models"), Path("reports"), studies.read(params))
+    folders = results.Folders(arguments.data, arguments.models, arguments.reports, studies.read(params))
     chosen = parameters.read(params, "report", results.Settings)
     study = folders.study
     judged = {name: read(folders, name) for name in study.test if complete(folders, name)}
@@ -40,14 +47,54 @@ def main(arguments: argparse.Namespace) -> None:
         "kl": {name: summary.divergences(name, of, chosen) for name, of in judged.items()},
         "calibration": {name: summary.calibrations(of) for name, of in judged.items()},
         "by_class": {name: summary.by_class(name, of, classes[name], trained, chosen) for name, of in judged.items()},
+        "by_size": {name: summary.by_size(of, chosen) for name, of in judged.items()},
         "submaps": {name: len(classes[name]) for name in classes},
     }
+    write_tables(arguments.out, numbers, training.read_divergences(folders, chosen.kl_floor_m2))
+    write_trainings(arguments.out, folders)
+    draw(arguments, folders, judged, chosen)
     write(arguments.out, "metrics.json", json.dumps(report.known_only(report.published(numbers)), indent=2) + "\n")
     write(arguments.out, "kl.csv", text_table.csv(pd.DataFrame(kl_rows(numbers))))
     write(arguments.out, "classes.csv", text_table.csv(pd.DataFrame(class_rows(numbers))))
     if arguments.network:
         rows = left_out(arguments, known, classes, judged, folders, chosen)
         write(arguments.out, "leave_one_class_out.csv", text_table.csv(pd.DataFrame(rows)))
+
+
+def write_tables(out: Path, numbers: dict[str, Any], trained: dict[str, dict[str, float]]) -> None:
+    """Write Table II, and the measures by terrain class and by the size of the label."""
+    datasets = {name: {"simulated": True} for name in numbers["kl"]}
+    table_2 = [*tables.table_2(numbers["kl"], datasets, trained), tables.divergences(numbers["kl"], datasets)]
+    split = [*tables.by_class(numbers["by_class"], datasets)[1:], *tables.by_size(numbers["by_size"], datasets)[1:]]
+    write(out, "tables/table_2.csv", text_table.csv(table_2[0].frame))
+    for name, blocks in (("table_2", table_2), ("terrain", split)):
+        write(out, f"tables/{name}.md", text_table.markdown(blocks))
+
+
+def write_trainings(out: Path, folders: results.Folders) -> None:
+    """Write the losses of every model by step, their figure and the models' cards."""
+    losses = training.read_losses(folders)
+    for name in losses:
+        write(out, f"loss_{name}.csv", (folders.reports / f"train/{name}.csv").read_text())
+    artifacts.write_bytes(out / "figures/training.png", plots.png(label_figures.training(losses)))
+    for path, content in model_card.files(folders).items():
+        artifacts.write_bytes(out / path, content)
+
+
+def draw(
+    arguments: argparse.Namespace, folders: results.Folders, judged: dict[str, Judged], chosen: results.Settings
+) -> None:
+    """Draw the ten submaps that a method is worst at, and the ten that it is best at, of all test surveys."""
+    surveys = [
+        cases.Survey(
+            *(name, results.read_points(folders, name)[0], results.read_labels(folders, name), of, chosen.kl_floor_m2)
+        )
+        for name, of in judged.items()
+    ]
+    for name, choose, kl in (("worst", cases.worst, "largest"), ("best", cases.best, "smallest")):
+        for method in arguments.drawn:
+            figure = ellipse_plots.worst(method, choose(surveys, method, 10), kl)
+            artifacts.write_bytes(arguments.out / f"figures/{name}_{method}.png", plots.png(figure))
 
 
 def complete(folders: results.Folders, name: str) -> bool:
@@ -148,6 +195,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--params", type=Path, default=Path("params.yaml"))
     parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--models", type=Path, default=Path("models"))
+    parser.add_argument("--reports", type=Path, default=Path("reports"))
+    parser.add_argument("--drawn", nargs="*", default=["pointnetkl"], metavar="METHOD")
     parser.add_argument("--network", type=Path, help="a trained model of the kind mean_field: leave out classes too")
     parser.add_argument("--out", type=Path, required=True)
     main(parser.parse_args())

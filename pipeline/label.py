@@ -4,6 +4,7 @@ import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
 
 # isort: split
 import argparse
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,12 @@ def main(arguments: argparse.Namespace) -> None:
     """Write the survey's labels and error samples."""
     settings = parameters.read(arguments.params, "label", monte_carlo.Settings)
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    runs = study.survey(arguments.params, arguments.survey).label_runs
+    line = study.survey(arguments.params, arguments.survey)
+    if line.group == "train":  # calibration is judged on test surveys alone
+        settings = dataclasses.replace(settings, held_out_runs=0)
     submaps, folder = arguments.submaps.resolve(), arguments.shards.resolve()  # workers may have another current folder
     kernel = shards.kernel_version(settings.engine)
-    job = shards.Job(arguments.survey, submaps, folder, runs, settings, registration, kernel)
+    job = shards.Job(arguments.survey, submaps, folder, line.label_runs, settings, registration, kernel)
     labels, computed = shards.labels(job)
     print(f"{arguments.survey}: labelled {computed}, {len(labels) - computed} were there")
     schema = label_table.schema(registration.dimensions)

@@ -10,7 +10,7 @@ from pointnetkl.methods.fitted import learned
 from pointnetkl.models import trained
 from pointnetkl.registration.covariance import method, table
 from pointnetkl.surveys import submap
-from pointnetkl.workflow import artifacts, command, parameters
+from pointnetkl.workflow import artifacts, command, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -19,7 +19,8 @@ def main(arguments: argparse.Namespace) -> None:
     fits = learned.read(arguments.fits)
     artifacts.require_survey(arguments.survey, arguments.submaps)
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
-    models = trained.load_all(arguments.models, fits.label, fits.registration)
+    paths = [arguments.models / f"{name}.pt" for name in study.read(arguments.params).models]
+    models = trained.load_all(paths, fits.label, fits.registration)
     covariances = method.tabulate([*learned.methods(fits, settings.seed), *models], submaps)
     sections = {"predict": settings, "label": fits.label, "registration": fits.registration}
     params = {section: parameters.as_metadata(values) for section, values in sections.items()}
@@ -31,7 +32,7 @@ if __name__ == "__main__":
     parser = command.parser(__doc__)
     parser.add_argument("survey", help="the survey's name in study.surveys")
     parser.add_argument("--submaps", type=Path, required=True)
-    parser.add_argument("--models", type=Path, nargs="+", required=True, help="trained ones; data/none is none")
+    parser.add_argument("--models", type=Path, required=True, help="folder of the trained ones")
     parser.add_argument("--fits", type=Path, required=True)
     parser.add_argument("--covariances", type=Path, required=True)
     command.run(main, parser)

@@ -23,7 +23,7 @@ from pointnetkl.registration.covariance import catalogue
 from pointnetkl.registration.covariance.method import Method
 from pointnetkl.simulation import seabed
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, command, parameters
+from pointnetkl.workflow import artifacts, command, parameters, study
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -51,18 +51,19 @@ def methods(arguments: argparse.Namespace, settings: runtime.Settings) -> list[M
     seed = parameters.read(arguments.params, "predict", learned.Settings).seed
     fits = learned.read(arguments.fits)
     label, registration = fits.label, fits.registration
+    paths = [arguments.models / f"{name}.pt" for name in study.read(arguments.params).models]
     return [
         sampled.Sampled(catalogue.MONTE_CARLO, settings.runs, settings.seed, label, registration),
         constant.Constant(catalogue.CONSTANT, np.eye(registration.dimensions)),
         *estimated.without_labels(estimate, label, registration),
         *learned.methods(fits, seed),
-        *trained.load_all(arguments.models, label, registration),
+        *trained.load_all(paths, label, registration),
     ]
 
 
 if __name__ == "__main__":
     parser = command.parser(__doc__)
-    parser.add_argument("--models", type=Path, nargs="+", required=True)
+    parser.add_argument("--models", type=Path, required=True)
     parser.add_argument("--fits", type=Path, required=True)
     parser.add_argument("--runtime", type=Path, required=True)
     command.run(main, parser)

@@ -14,15 +14,14 @@ def main(arguments: argparse.Namespace) -> None:
     """Read a survey's submaps; write their clouds."""
     settings = parameters.read(arguments.params, "voxelise", voxel.Settings)
     artifacts.require_survey(arguments.name, arguments.submaps)
-    submaps = submap.from_table(arguments.name, artifacts.read_table(arguments.submaps, submap.POINTS))
-    clouds = voxel.Clouds.join(
-        [cloud.number for cloud in submaps],
-        compute.in_threads(
-            lambda cloud: voxel.canonical(cloud.points, settings.voxel, f"{cloud.survey}, submap {cloud.number}"),
-            submaps,
-            "voxelise",
-        ),
-    )
+
+    def canonical(cloud: submap.Submap) -> tuple[int, voxel.Canonical]:
+        origin = f"{cloud.survey}, submap {cloud.number}"
+        return cloud.number, voxel.canonical(cloud.points, settings.voxel, origin)
+
+    submaps = submap.stream(arguments.name, arguments.submaps)  # a large survey's do not fit in memory
+    numbered = compute.in_threads(canonical, submaps, "voxelise")
+    clouds = voxel.Clouds.join([number for number, _ in numbered], [cloud for _, cloud in numbered])
     metadata = {"survey": arguments.name, "params": {"voxelise": parameters.as_metadata(settings)}}
     artifacts.write_arrays(arguments.clouds, clouds.to_arrays(), metadata)
     print(f"{arguments.name}: {len(clouds)} clouds, {len(clouds.points)} points, sigma_z {voxel.sigma_z(clouds):.4g}")

@@ -11,9 +11,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from pointnetkl import simulation
 from pointnetkl.models import mean_field
+from pointnetkl.models.point_mlp import PointMLP, PooledMLP
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.simulation import vehicle
 from pointnetkl.slam.consistency.map_to_map import MapToMap
@@ -29,6 +31,7 @@ def main() -> None:
     register(points)
     MapToMap([points, points], 15.0, 1)(np.stack([np.eye(4), np.eye(4)]))
     sail()
+    learn()
 
 
 def toy() -> np.ndarray:
@@ -54,6 +57,13 @@ def sail() -> None:
     settings = dataclasses.replace(settings, layout=layout, grid=str(PARAMS.parent / settings.grid))
     platform = parameters.read(PARAMS, f"vehicles.{settings.vehicle}", vehicle.Settings)
     list(simulation.survey(settings, platform, simulation.ground(settings)))
+
+
+def learn() -> None:
+    """Take one training step of a PointNetKL's layers."""
+    layers = [PointMLP((3, 4)), PooledMLP((4, 4))]
+    rows = layers[0](torch.zeros(8, 3))
+    layers[1](rows.reshape(2, 4, 4)).sum().backward()
 
 
 if __name__ == "__main__":

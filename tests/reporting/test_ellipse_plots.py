@@ -56,6 +56,13 @@ def test_the_worst_submaps_of_all_surveys_come_worst_first(two: list[cases.Surve
     assert [case.survey for case in cases.worst(two, "constant", 5)] == ["mine", "mine"]
 
 
+def test_the_best_submaps_of_all_surveys_come_best_first(two: list[cases.Survey]):
+    chosen = cases.best(two, "network", 6)
+    divergences = [case.kl["network"] for case in chosen]
+    assert divergences == sorted(divergences)
+    assert chosen[-1].kl["network"] == cases.worst(two, "network", 1)[0].kl["network"]
+
+
 def test_an_ellipse_holds_95_percent_and_turns_with_the_track_upward():
     q = np.array([[9.0, 2.0], [2.0, 1.0]])  # longest along the track, turned to port
     starboard, along = ellipse_plots.boundary(q)

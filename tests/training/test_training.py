@@ -37,6 +37,7 @@ QUICK = loop.CloudSettings(
     steps=6,
     batch=4,
     points=16,
+    precision="float32",
     learning_rate=1e-3,
     weight_decay=1e-4,
     gradient_norm=10.0,
@@ -98,7 +99,7 @@ def test_every_kind_of_model_has_settings():
 
 @pytest.mark.slow
 def test_a_few_submaps_are_learned_by_heart():
-    settings = dataclasses.replace(QUICK, steps=40, batch=8, points=48, validate_every=10)
+    settings = dataclasses.replace(QUICK, steps=60, batch=8, points=48, validate_every=10)
     learned = samples(8)
     device.prepare(1, 1, CPU)
     model = network.PointNetKL(SMALL)
@@ -130,7 +131,7 @@ def test_another_seed_gives_another_model(model: network.PointNetKL):
 
 
 def test_the_best_weights_are_kept_and_not_the_last():
-    settings = dataclasses.replace(QUICK, steps=12, learning_rate=0.01, validate_every=1)
+    settings = dataclasses.replace(QUICK, steps=8, learning_rate=0.01, validate_every=1)
     device.prepare(settings.seed, 1, CPU)
     model = network.PointNetKL(SMALL)
     outcome = loop.train(model, samples(8), samples(5, seed=1), settings)
@@ -298,7 +299,8 @@ def test_mixed_precision_trains_about_as_well(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(device, "low_precision", lambda where: torch.bfloat16)
     mixed = trained(QUICK, kind)[1].history
     assert not mixed.equals(full)
-    np.testing.assert_allclose(mixed, full, rtol=0.05)
+    losses = ["step", "training", "validation"]
+    np.testing.assert_allclose(mixed[losses], full[losses], rtol=0.05)
 
 
 def test_one_wild_label_does_not_make_the_step_long():
@@ -313,6 +315,7 @@ def test_one_wild_label_does_not_make_the_step_long():
         before = clip(params, longest)
         after = torch.nn.utils.get_total_norm([p.grad for p in params if p.grad is not None])
         lengths.append((float(before), float(after)))
+        return before
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop.nn.utils, "clip_grad_norm_", watched)
@@ -371,7 +374,7 @@ def test_the_stage_writes_a_model_its_losses_and_its_scores(whole: Path):
     assert summary["labels"]["label"]["noise_sigma_m"] == 0.1
     assert set(summary["kl"]) == set(summary["kl_floor0"]) == {"training", "validation"}
     losses = (whole / "loss.csv").read_text().splitlines()
-    assert losses[0] == "step,training,validation"
+    assert losses[0] == "step,training,validation,gradient_median,gradient_largest"
     assert [int(line.split(",")[0]) for line in losses[1:]] == list(range(0, 41, 5))
     assert model_file.read(whole / "m.pt").metadata["surveys"] == ["baltic", "shetland"]
     assert not list((whole / "checkpoints").iterdir())

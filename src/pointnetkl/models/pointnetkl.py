@@ -5,20 +5,16 @@ of a Cholesky composition (section IV of the paper).
 """
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from pointnetkl.models.model import Example, Model
+from pointnetkl.models.point_mlp import PointMLP, PooledMLP, to_rows
 from pointnetkl.models.samples import Samples
 from pointnetkl.workflow import parameters
-
-_CACHED = 1024  # points whose 1024 features stay in a core's cache until their largest are found
 
 
 @dataclass(frozen=True)
@@ -42,37 +38,6 @@ class Settings:
             raise ValueError(f"dropout is {self.dropout:g}, must be at least 0 and below 1")
         if self.dimensions not in (2, 3):
             raise ValueError(f"dimensions is {self.dimensions}, must be 2 (x, y) or 3 (x, y, yaw)")
-
-
-class PointMLP(nn.Sequential):
-    """Linear, batch norm, ReLU per width, shared by all points.
-
-    Points of all clouds are rows of one (n, channels) matrix: a matrix product is a third faster on a CPU than the
-    same 1x1 convolution, and every row that enters a batch norm is a point that was measured.
-    """
-
-    def __init__(self, widths: Sequence[int]) -> None:
-        """Make the layers between the given numbers of channels."""
-        layers = ((nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(inplace=True)) for a, b in itertools.pairwise(widths))
-        super().__init__(*itertools.chain.from_iterable(layers))
-
-
-class PooledMLP(PointMLP):
-    """A PointMLP and the largest value over a cloud's points of each of its channels, (B, n, channels) to (B, widths).
-
-    Batch norm and ReLU follow each channel up or down, so the largest value is that of the point whose linear
-    output is largest, or smallest where the norm's weight is negative: the wide last layer is searched for that
-    point, and nothing else of it is computed or kept. Its mean and variance follow from those of its inputs. It is
-    what the layers one after the other give, to rounding, in less than half the time.
-    """
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Return the largest values (B, widths[-1]) of features (B, n, channels)."""
-        linear, norm = cast(nn.Linear, self[-3]), cast(nn.BatchNorm1d, self[-2])
-        shared = _shared(nn.Sequential(*list(self)[:-3]), features)
-        top = _largest(linear, norm.weight, shared)
-        mean, variance = _moments(linear, norm, shared) if norm.training else _remembered(norm)
-        return functional.relu((top - mean) * torch.rsqrt(variance + norm.eps) * norm.weight + norm.bias)
 
 
 class TransformNet(nn.Module):
@@ -111,7 +76,7 @@ class PointNet(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """Return zeta (B, 1024) of points (B, n, 3)."""
-        features = _shared(self.local, self.input_transform(points))
+        features = to_rows(self.local, self.input_transform(points))
         return self.globally(self.feature_transform(features))
 
 
@@ -162,57 +127,6 @@ class PointNetKL(Model):
         """Return two clouds and their radii; there may be more, of more points."""
         points = Example(torch.zeros(2, 8, 3), {0: "clouds", 1: "points"})
         return {"points": points, "radius": Example(torch.ones(2), {0: "clouds"})}
-
-
-def _largest(linear: nn.Linear, norm_weight: Tensor, features: Tensor) -> Tensor:
-    """Return, of a linear layer of features (B, n, c), what gives a norm its largest output over n, (B, channels)."""
-    sign = torch.where(norm_weight < 0, -1.0, 1.0).detach()
-    upwards = sign[:, None] * linear.weight
-    if not features.requires_grad:
-        return (upwards @ features.transpose(1, 2)).amax(dim=2) * sign + linear.bias
-    points = _point_of_largest(upwards.detach(), features.detach())
-    # rows of all clouds' points: an embedding's gradient is gathered in a fixed order, and fast
-    rows = points + features.shape[1] * torch.arange(len(features), device=features.device)[:, None]
-    largest = functional.embedding(rows, features.reshape(-1, features.shape[2]))
-    return (largest * linear.weight).sum(dim=2) + linear.bias
-
-
-def _point_of_largest(weight: Tensor, features: Tensor) -> Tensor:
-    """Return which of the points of features (B, n, c) has the largest product with each weight, (B, channels)."""
-    parts = torch.split(features, max(1, _CACHED // features.shape[1]))
-    return torch.cat([(weight @ part.mT).max(dim=2).indices for part in parts])
-
-
-def _moments(linear: nn.Linear, norm: nn.BatchNorm1d, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of a linear layer over all points, (channels,), and let the norm remember them."""
-    with torch.autocast(features.device.type, enabled=False):
-        rows = features.to(linear.weight).reshape(-1, features.shape[2])
-        centre = rows.mean(dim=0)
-        centred = rows - centre
-        scatter = centred.T @ centred / len(rows)
-        mean = linear(centre)
-        variance = ((linear.weight @ scatter) * linear.weight).sum(dim=1)
-    _remember(norm, mean.detach(), variance.detach() * len(rows) / (len(rows) - 1))
-    return mean, variance
-
-
-@torch.no_grad()
-def _remember(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor) -> None:
-    """Update a batch norm's running statistics as it does itself; momentum None: their average."""
-    batches = norm.get_buffer("num_batches_tracked").add_(1)
-    share = 1 / float(batches) if norm.momentum is None else norm.momentum
-    for running, now in zip(_remembered(norm), (mean, variance), strict=True):
-        running.lerp_(now, share)
-
-
-def _remembered(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
-    return norm.get_buffer("running_mean"), norm.get_buffer("running_var")
-
-
-def _shared(layers: nn.Module, features: Tensor) -> Tensor:
-    """Return layers applied to every point of features (B, n, channels)."""
-    clouds, points, channels = features.shape
-    return layers(features.reshape(-1, channels)).reshape(clouds, points, -1)
 
 
 def _hidden(inputs: int, outputs: int, dropout: float) -> tuple[nn.Module, ...]:

@@ -13,7 +13,7 @@ from pointnetkl.models.model_file import Stored
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.surveys import voxel
 from pointnetkl.surveys.submap import Submap
-from pointnetkl.workflow import artifacts, parameters
+from pointnetkl.workflow import parameters
 from pointnetkl.workflow.errors import PointNetKLError
 
 _DECIDE_LABELS = ("copy", "noise_sigma_m", "prior_variance_m2")  # of section `label`: another value makes another Q
@@ -81,12 +81,12 @@ def check(path: Path, stored: Stored, label: monte_carlo.Settings, registration:
 
 
 def load_all(paths: Sequence[Path], label: monte_carlo.Settings, registration: gicp.Settings) -> list[Trained]:
-    """Read trained models for the covariances of these settings; data/none stands for no model.
+    """Read trained models for the covariances of these settings.
 
     Raises:
         ModelFileError, TrainedError: as load and check.
     """
-    models = {path: load(path) for path in paths if not (path.is_file() and artifacts.is_none(path))}
+    models = {path: load(path) for path in paths}
     for path, loaded in models.items():
         check(path, loaded.stored, label, registration)
     return list(models.values())

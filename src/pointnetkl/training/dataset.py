@@ -1,8 +1,9 @@
 """The training data: canonical clouds and Monte Carlo labels of the training surveys."""
 
 import dataclasses
+import itertools
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,12 +72,8 @@ def with_descriptions(folder: Path, samples: Samples, describe: Callable[[np.nda
     Raises:
         DatasetError, ArtifactError: a survey's submaps.parquet is missing, damaged or of other submaps.
     """
-    points = [
-        cloud
-        for name in dict.fromkeys(map(str, samples.survey))
-        for cloud in _points(folder / name, name, samples.submap[samples.survey == name])
-    ]
-    return dataclasses.replace(samples, described=np.stack(compute.in_threads(describe, points, "describe")))
+    described = compute.in_threads(describe, _points(folder, samples), "describe", total=len(samples))
+    return dataclasses.replace(samples, described=np.stack(described))
 
 
 def split(samples: Samples, share: float, blocks: int, seed: int) -> tuple[Samples, Samples]:
@@ -135,12 +132,15 @@ def _join(parts: Sequence[Samples]) -> Samples:
     )
 
 
-def _points(folder: Path, name: str, numbers: np.ndarray) -> list[np.ndarray]:
-    path = folder / "submaps.parquet"
-    submaps = submap.from_table(name, artifacts.read_table(path, submap.POINTS))
-    if [s.number for s in submaps] != numbers.tolist():
-        raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro")
-    return [s.points for s in submaps]
+def _points(folder: Path, samples: Samples) -> Iterator[np.ndarray]:
+    """Yield every submap's own points; those of a large survey do not fit in memory."""
+    for name in dict.fromkeys(map(str, samples.survey)):
+        path = folder / name / "submaps.parquet"
+        numbers = samples.submap[samples.survey == name].tolist()
+        for cloud, number in itertools.zip_longest(submap.stream(name, path), numbers):
+            if cloud is None or cloud.number != number:
+                raise DatasetError(f"{path}: its submaps are not those of labels.parquet; run dvc repro")
+            yield cloud.points
 
 
 def _held_back(name: str, count: int, share: float, blocks: int, seed: int) -> np.ndarray:

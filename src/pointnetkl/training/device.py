@@ -1,6 +1,8 @@
 """The device of a training: a GPU in mixed precision, or the CPU in full precision, the same to the bit each time."""
 
 import torch
+from numba import set_num_threads
+from numba.core import config
 
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -25,6 +27,7 @@ def prepare(seed: int, threads: int, device: torch.device) -> None:
     """Make torch give the same bits every time on a CPU: set its generator, its threads and its algorithms."""
     torch.manual_seed(seed)
     torch.set_num_threads(threads)
+    set_num_threads(min(threads, config.NUMBA_NUM_THREADS))
     # as use_deterministic_algorithms does, which also imports a compiler, for seconds
     torch.set_deterministic_debug_mode("error" if device.type == "cpu" else "default")
     # else torch fills every new tensor with NaN first, a fifth of the time; nothing here reads what it has not written

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pointnetkl.models import model
+from pointnetkl.models import model, point_mlp
 from pointnetkl.models.model import Model
+from pointnetkl.models.point_mlp import PooledMLP
 from pointnetkl.models.samples import Samples
 from pointnetkl.training import batch_norm, device, loss
 from pointnetkl.training.checkpoint import Checkpoint
@@ -22,6 +23,11 @@ __all__ = ["KINDS", "CloudSettings", "Outcome", "Settings", "TrainingError", "fi
 
 # Streams of random numbers, so that validating more often changes no training batch.
 _BATCHES, _VALIDATION, _STATISTICS = 1, 2, 3
+_VALUES = ("step", "best_step", "rows", "losses", "gradients", "best_weights")  # of _Run, that a checkpoint holds
+
+# of the history: training is the mean loss since the row before, validation that of the row's weights (nats); then the
+# median and the largest norm of the gradient since the row before, as it was before it was shortened
+COLUMNS = ["step", "training", "validation", "gradient_median", "gradient_largest"]
 
 
 class TrainingError(PointNetKLError):
@@ -32,7 +38,7 @@ class TrainingError(PointNetKLError):
 class Outcome:
     """How training went; the model holds the best weights."""
 
-    history: pd.DataFrame  # a row for each validation: step, training (mean since the row before), validation; nats
+    history: pd.DataFrame  # of COLUMNS, a row for each validation
     best_step: int  # 0: nothing was better than the start
     steps: int
 
@@ -81,6 +87,10 @@ class _Run:
     def __init__(self, untrained: Model, training: Samples, validation: Samples, settings: Settings) -> None:
         self.model, self.training, self.validation, self.settings = untrained, training, validation, settings
         self.points = _points(settings)
+        self.precision = settings.precision if isinstance(settings, CloudSettings) else "float32"
+        for module in untrained.modules():
+            if isinstance(module, PooledMLP):
+                module.search = self.precision
         processor = next(untrained.parameters()).device
         self.processor, self.low = processor, device.low_precision(processor)
         self.optimiser = torch.optim.Adam(
@@ -89,8 +99,9 @@ class _Run:
         self.scaler = torch.amp.GradScaler(processor.type, enabled=self.low is torch.float16)
         self.rng = np.random.default_rng([settings.seed, _BATCHES])
         self.step = self.best_step = 0
-        self.rows: list[tuple[int, float, float]] = []
+        self.rows: list[tuple[int | float, ...]] = []
         self.losses: list[float] = []  # since the last row
+        self.gradients: list[float] = []  # their norms, likewise
         self.best_weights: dict[str, Tensor] = {}
 
     def begin(self) -> None:
@@ -108,10 +119,12 @@ class _Run:
         self.step += 1
         self.losses.append(_finite(mean.item(), self.step))
         self.optimiser.zero_grad()
-        self.scaler.scale(mean).backward()  # type: ignore[no-untyped-call]
+        with point_mlp.matrix_products(self.precision):
+            self.scaler.scale(mean).backward()  # type: ignore[no-untyped-call]
         self.scaler.unscale_(self.optimiser)
         # AMSGrad remembers the largest gradient for good: one wild label would make every later step short
-        nn.utils.clip_grad_norm_(self.model.parameters(), self.settings.gradient_norm)
+        gradient = nn.utils.clip_grad_norm_(self.model.parameters(), self.settings.gradient_norm)
+        self.gradients.append(gradient.item())
         self.scaler.step(self.optimiser)
         self.scaler.update()
 
@@ -121,23 +134,25 @@ class _Run:
         if not self.rows or score < min(row[2] for row in self.rows):
             self.best_step = self.step
             self.best_weights = {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
-        self.rows.append((self.step, float(np.mean(self.losses)), score))
+        norms = (np.median(self.gradients), np.max(self.gradients)) if self.gradients else (np.nan, np.nan)
+        self.rows.append((self.step, float(np.mean(self.losses)), score, *map(float, norms)))
         self.losses.clear()
+        self.gradients.clear()
 
     def history(self) -> pd.DataFrame:
         """Return the rows as a table."""
-        return pd.DataFrame(self.rows, columns=["step", "training", "validation"])
+        return pd.DataFrame(self.rows, columns=COLUMNS)
 
     def last_row(self) -> str:
         """Return the last row as the progress bar shows it."""
-        _, training, validation = self.rows[-1]
+        _, training, validation, *_ = self.rows[-1]
         return f"training {training:.3f}, validation {validation:.3f}, best at step {self.best_step}"
 
     def state(self) -> dict[str, Any]:
         """Return the state, as plain values and tensors."""
         return {
             "parts": {name: getattr(self, name).state_dict() for name in ("model", "optimiser", "scaler")},
-            "values": {name: getattr(self, name) for name in ("step", "best_step", "rows", "losses", "best_weights")},
+            "values": {name: getattr(self, name) for name in _VALUES},
             "rng": self.rng.bit_generator.state,
             "torch_rng": device.rng_states(self.processor),
         }

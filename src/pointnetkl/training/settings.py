@@ -39,9 +39,8 @@ class Settings:
         for name in ("weight_decay", "floor_m2"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name):g}, must not be negative")
-        for name, values in (("early_stopping", ("whole", "paper")), ("device", ("auto", "cpu", "cuda"))):
-            if getattr(self, name) not in values:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, must be one of {', '.join(values)}")
+        _require_one_of(self, "early_stopping", "whole", "paper")
+        _require_one_of(self, "device", "auto", "cpu", "cuda")
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,7 @@ class CloudSettings(Settings):
     """
 
     points: int  # of each submap, drawn anew
+    precision: str  # float32, or bfloat16: in which a CPU searches the points that are largest, and goes backward
     statistics_batches: int  # of so many submaps, whose means and variances a batch norm has in evaluation
     statistics_batch: int
 
@@ -61,6 +61,7 @@ class CloudSettings(Settings):
         super().__post_init__()
         parameters.require_positive(self, "points", "statistics_batches")
         _require_pairs(self, "statistics_batch")
+        _require_one_of(self, "precision", "float32", "bfloat16")
 
 
 # By the kinds of models.model_file.KINDS.
@@ -70,3 +71,8 @@ KINDS: dict[str, type[Settings]] = {"pointnetkl": CloudSettings, "mean_field": S
 def _require_pairs(settings: Settings, name: str) -> None:
     if getattr(settings, name) < 2:
         raise ValueError(f"{name} is {getattr(settings, name)}, must be at least 2: a batch norm needs two submaps")
+
+
+def _require_one_of(settings: Settings, name: str, *values: str) -> None:
+    if getattr(settings, name) not in values:
+        raise ValueError(f"{name} is {getattr(settings, name)!r}, must be one of {', '.join(values)}")

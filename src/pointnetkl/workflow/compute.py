@@ -5,6 +5,7 @@ items are sent to the workers, so they should hold paths and not clouds. `in_thr
 that release Python's lock, on data in memory.
 """
 
+import collections
 import contextlib
 import functools
 import multiprocessing
@@ -12,7 +13,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from typing import Any, TypeVar
@@ -25,6 +26,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_AHEAD = 16  # items a worker that threads are given before the first is done
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -73,14 +75,32 @@ def over(
 
 
 def in_threads(
-    function: Callable[[Item], Result], items: Sequence[Item], doing: str, unit: str = "submap"
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    doing: str,
+    unit: str = "submap",
+    total: int | None = None,
 ) -> list[Result]:
-    """Return the results of a function on items, in their order, computed by threads of this process."""
+    """Return the results of a function on items, in their order, computed by threads of this process.
+
+    Items that are read from a file one by one (then `total` is their number) are held a few at a time.
+    """
+    count = len(items) if isinstance(items, Sequence) else total
     with ThreadPoolExecutor(workers()) as pool:
-        return list(progress(pool.map(function, items), doing, len(items), unit))
+        return list(progress(_mapped(pool, function, iter(items)), doing, count, unit))
 
 
-def progress(items: Iterable[Item], doing: str, total: int, unit: str = "submap") -> Iterable[Item]:
+def _mapped(pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]) -> Iterator[Result]:
+    waiting: collections.deque[Future[Result]] = collections.deque()
+    for item in items:
+        waiting.append(pool.submit(function, item))
+        if len(waiting) > _AHEAD * workers():
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def progress(items: Iterable[Item], doing: str, total: int | None, unit: str = "submap") -> Iterable[Item]:
     """Yield the items under a progress bar with rate and time left."""
     return tqdm(items, desc=doing, total=total, unit=unit, mininterval=0.5, dynamic_ncols=True)
 

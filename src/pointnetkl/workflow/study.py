@@ -6,7 +6,7 @@ from pathlib import Path
 from pointnetkl.workflow import parameters
 
 MOST_RUNS = 1_000_000  # of a label: their errors are held at once
-_PREDICTING = ("pointnetkl", "network")  # the models that stages predict and time read
+_LEAST = ("pointnetkl", "network")  # the models that stages calibrate and report cannot do without
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,7 @@ class Study:
     test: dict[str, StudySurvey]
     surveys: dict[str, StudySurvey]
     scale: str = "unnamed"  # name of the numbers in params.yaml, set by the files of scales/
-    models: list[str] = field(default_factory=lambda: list(_PREDICTING))  # those of section `models` that are trained
-    unscaled: str = "data/none"  # the weights of pointnetkl_unscaled, where it is one of them
+    models: list[str] = field(default_factory=lambda: list(_LEAST))  # those of section `models` that are trained
 
     def __post_init__(self) -> None:
         """Refuse a study that tests on training data, or that lacks a model.
@@ -54,8 +53,8 @@ class Study:
             ValueError: a survey, or its raw files, are in both groups, or its line names the other one; a model is
                 missing or stands twice.
         """
-        if not set(_PREDICTING) <= set(self.models) or len(set(self.models)) < len(self.models):
-            raise ValueError(f"models is {self.models}, must name {' and '.join(_PREDICTING)}, and each model once")
+        if not set(_LEAST) <= set(self.models) or len(set(self.models)) < len(self.models):
+            raise ValueError(f"models is {self.models}, must name {' and '.join(_LEAST)}, and each model once")
         for group, lines in (("train", self.train), ("test", self.test)):
             if astray := [name for name, line in lines.items() if line.group != group]:
                 line = lines[astray[0]]

@@ -13,7 +13,8 @@ CONSTANT, NAIVE_GICP, NAIVE_MEANCOV = "constant", "naive_gicp", "naive_meancov"
 HESSIAN, CENSI, UNSCENTED, MEAN_FIELD = "hessian", "censi", "unscented", "mean_field"
 HESSIAN_CALIBRATED, CENSI_CALIBRATED = "hessian_calibrated", "censi_calibrated"
 CONSTANT_TRAIN, STRUCTURE_TENSOR, CELLO = "constant_train", "structure_tensor", "cello"
-NETWORK, POINTNETKL, UNSCALED = "network", "pointnetkl", "pointnetkl_unscaled"
+NETWORK, POINTNETKL = "network", "pointnetkl"
+UNSCALED, RANDOM_SPLIT = "pointnetkl_unscaled", "pointnetkl_random_split"
 SPLIT, PAIR = "split", "pair"  # measured on loop closures: the label by copy split, and Q_ij
 OVERLAP = "_overlap"  # after a method's name: the method, asked about the ground that a loop closure's submaps share
 
@@ -68,6 +69,7 @@ METHODS = {
     POINTNETKL: Entry(Family.NETWORKS, Stage.PREDICT),
     NETWORK: Entry(Family.NETWORKS, Stage.PREDICT),
     UNSCALED: Entry(Family.NETWORKS, Stage.PREDICT),
+    RANDOM_SPLIT: Entry(Family.NETWORKS, Stage.PREDICT),
     SPLIT: Entry(Family.OTHERS, Stage.CALIBRATE),
     PAIR: Entry(Family.OTHERS, Stage.CALIBRATE),
 }

@@ -50,5 +50,14 @@ def large_to_small(survey: Survey, methods: Sequence[str], count: int) -> list[C
 
 def worst(surveys: Sequence[Survey], method: str, count: int) -> list[Case]:
     """Return at most `count` submaps of all the surveys, the largest divergence from the method's Q first."""
-    submaps = [(-kl, i, j) for i, survey in enumerate(surveys) for j, kl in enumerate(survey.kl.get(method, ()))]
+    return _first(surveys, method, count, -1)
+
+
+def best(surveys: Sequence[Survey], method: str, count: int) -> list[Case]:
+    """Return at most `count` submaps of all the surveys, the smallest divergence from the method's Q first."""
+    return _first(surveys, method, count, 1)
+
+
+def _first(surveys: Sequence[Survey], method: str, count: int, sign: int) -> list[Case]:
+    submaps = [(sign * kl, i, j) for i, survey in enumerate(surveys) for j, kl in enumerate(survey.kl.get(method, ()))]
     return [surveys[i].case(j, [method]) for _, i, j in sorted(submaps)[:count]]

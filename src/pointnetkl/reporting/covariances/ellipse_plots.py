@@ -54,11 +54,14 @@ def gallery(surveys: Mapping[str, Sequence[Case]]) -> Figure:
     return figure
 
 
-def worst(method: str, cases: Sequence[Case]) -> Figure:
-    """Draw submaps two in a row, each with the ellipses of its label and of the method's Q on one scale."""
+def worst(method: str, cases: Sequence[Case], kl: str = "largest") -> Figure:
+    """Draw submaps two in a row, each with the ellipses of its label and of the method's Q on one scale.
+
+    `kl` says in the title by which divergence they were chosen: the largest or the smallest.
+    """
     high = 1.32
     figure, page = _page(0.6 + high * max(1, -(-len(cases) // 2)))
-    _text(page, 0.15, 0.08, f"{method}: the submaps with the largest KL(label || Q)", size=11)
+    _text(page, 0.15, 0.08, f"{method}: the submaps with the {kl} KL(label || Q)", size=11)
     _key(page, [method], 0.44)
     for i, case in enumerate(cases):
         left, top = 0.15 + (i % 2) * 4.2, 0.6 + (i // 2) * high

@@ -1,0 +1,95 @@
+"""What more submaps and more steps are worth to a model: it is trained on random parts of the training submaps.
+
+All parts are validated on the same submaps, and judged on the test surveys. The smaller parts are among the larger. A
+batch has no more submaps than the part. A killed run goes on where it was; what is finished is kept in --out.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from pointnetkl.models import model_file
+from pointnetkl.models.samples import Samples
+from pointnetkl.registration.covariance import gaussian
+from pointnetkl.training import checkpoint, dataset, device, loop
+from pointnetkl.workflow import artifacts, parameters
+from pointnetkl.workflow import study as studies
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Train on each part, and write learning_curve.csv and a loss_<submaps>.csv for each."""
+    study = studies.read(arguments.params)
+    kind = parameters.read(arguments.params, f"models.{arguments.model}.kind", str)
+    settings = parameters.read(arguments.params, f"models.{arguments.model}.train", loop.KINDS[kind])
+    settings = dataclasses.replace(settings, **dict(map(setting, arguments.train)))
+    samples, _ = dataset.read(arguments.data / "train", list(study.train))
+    training, validation = dataset.split(samples, settings.validation_share, settings.validation_blocks, settings.seed)
+    judged = {"validation": validation}
+    judged |= {name: dataset.read(arguments.data / "test", [name])[0] for name in study.test}
+    order = np.random.default_rng(arguments.seed).permutation(len(training))
+    rows = []
+    for submaps in arguments.submaps:
+        done = arguments.out / f"part_{submaps}.json"
+        if not done.exists():
+            part = training.take(np.sort(order[:submaps]))
+            artifacts.write_json(done, judge(arguments, kind, settings, part, judged))
+        rows.append(artifacts.read_json(done))
+        artifacts.write_bytes(arguments.out / "learning_curve.csv", pd.DataFrame(rows).to_csv(index=False).encode())
+    print(pd.DataFrame(rows).to_string(index=False))
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """Return the name and the value of a setting, of name=value."""
+    name, _, value = text.partition("=")
+    return name, yaml.safe_load(value)
+
+
+def judge(
+    arguments: argparse.Namespace, kind: str, settings: loop.Settings, part: Samples, judged: dict[str, Samples]
+) -> dict[str, float]:
+    """Train a model on a part, and return its mean KL (nats) there and on each set of submaps."""
+    processor = device.choose(settings.device)
+    device.prepare(settings.seed, settings.threads, processor)
+    form, new = model_file.kind(kind)
+    model = new(parameters.read(arguments.params, f"models.{arguments.model}.network", form)).to(processor)
+    model.start(part)
+    settings = dataclasses.replace(settings, batch=min(settings.batch, len(part)))
+    decides = {"train": parameters.as_metadata(settings), "network": parameters.as_metadata(model.settings)}
+    sets = part, judged["validation"]
+    kept = checkpoint.Checkpoint(arguments.out / f"checkpoints_{len(part)}", checkpoint.name(decides, sets), 60.0)
+    losses = arguments.out / f"loss_{len(part)}.csv"
+
+    def watch(history: pd.DataFrame) -> None:
+        artifacts.write_bytes(losses, history.to_csv(index=False, float_format="%.6g").encode())
+
+    outcome = loop.train(model, *sets, settings, kept, watch)
+    loop.finish(model, part, settings)
+    kept.discard()
+    kl = {name: mean_kl(loop.predict(model, s), s.label) for name, s in {"training": part, **judged}.items()}
+    return {"submaps": len(part), "steps": outcome.steps, "best_step": outcome.best_step, **kl}
+
+
+def mean_kl(q: np.ndarray, label: np.ndarray) -> float:
+    """Return the mean KL(label || Q), nats, at the floor where methods are judged."""
+    floor = gaussian.KL_FLOOR_M2
+    pair = gaussian.with_floor(label, floor), gaussian.with_floor(q, floor)
+    return float(f"{np.mean(gaussian.kl_divergence(*pair)):.4g}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--params", type=Path, default=Path("params.yaml"))
+    parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--model", default="pointnetkl", help="its name in section models of the parameters")
+    parser.add_argument("--submaps", type=int, nargs="+", default=[100, 400, 1700])
+    parser.add_argument(
+        "--train", nargs="+", default=[], metavar="NAME=VALUE", help="other than in models.<model>.train"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of which submaps are in a part")
+    parser.add_argument("--out", type=Path, required=True)
+    main(parser.parse_args())
