@@ -42,10 +42,10 @@ def read_settings(paths: list[Path]) -> tuple[monte_carlo.Settings, gicp.Setting
 
 def read_training(folder: Path, surveys: list[str], setup: SelfRegistration) -> fitting.Training:
     """Read every training survey's submaps and labels; an error names the first file that is missing."""
-    points = [artifacts.read_table(folder / name / "submaps.parquet", submap.POINTS) for name in surveys]
+    # a group of rows at a time: the whole table of a large survey beside its submaps is too much
+    submaps = [list(submap.stream(name, folder / name / "submaps.parquet")) for name in surveys]
     columns = label_table.schema(setup.registration.dimensions)
     labels = [artifacts.read_table(folder / name / "labels.parquet", columns) for name in surveys]
-    submaps = [submap.from_table(name, rows) for name, rows in zip(surveys, points, strict=True)]
     return fitting.training(submaps, labels, setup)
 
 

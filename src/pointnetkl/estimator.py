@@ -42,14 +42,15 @@ class CovarianceEstimator:
 
     @classmethod
     def load(cls, path: str | Path) -> "CovarianceEstimator":
-        """Read a model's file (.pt), and set torch to one thread, which is the fastest for one submap.
+        """Read a model, and set torch to one thread, which is the fastest for one submap.
 
-        Nothing in the file is executed.
+        `path` is a model's file (.pt), or the name of one that comes with the package: "pointnetkl". Nothing in the
+        file is executed.
 
         Raises:
             ModelFileError: the file is missing, damaged or holds something else.
         """
-        stored = model_file.read(Path(path))
+        stored = model_file.read(model_file.shipped().get(str(path), Path(path)))
         torch.set_num_threads(1)  # with more threads, waiting takes longer than the sums
         return cls(stored)
 

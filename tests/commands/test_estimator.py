@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+import torch
 
 import pointnetkl
 import terrains
@@ -30,6 +31,24 @@ def test_importing_the_package_imports_none_of_its_libraries():
     assert result.stdout.strip() == "[]", result.stderr
     with pytest.raises(AttributeError, match="no attribute 'Covariance'"):
         _ = pointnetkl.Covariance
+
+
+@pytest.mark.parametrize("kind", toy_models.KINDS)
+def test_a_model_with_matrices_in_half_precision_answers_alike(tmp_path: Path, kind: str):
+    path = toy_models.write(tmp_path, kind)
+    (tmp_path / "half.pt").write_bytes(model_file.halved(model_file.read(path)))
+    whole, half = (pointnetkl.CovarianceEstimator.load(file) for file in (path, tmp_path / "half.pt"))
+    points = terrains.cloud("mild", 900)
+    np.testing.assert_allclose(half.predict(points), whole.predict(points), rtol=0.02)
+    assert not np.array_equal(half.predict(points), whole.predict(points))
+
+
+def test_a_weight_beyond_half_precision_is_refused(tmp_path: Path):
+    stored = model_file.read(toy_models.write(tmp_path, "pointnetkl"))
+    with torch.no_grad():
+        stored.model.last.weight[0, 0] = 1e5
+    with pytest.raises(model_file.ModelFileError, match=r"last\.weight: has a weight beyond 65504"):
+        model_file.halved(stored)
 
 
 @pytest.mark.parametrize("kind", toy_models.KINDS)

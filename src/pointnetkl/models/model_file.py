@@ -51,6 +51,23 @@ def kind(name: str) -> tuple[type[Any], Callable[[Any], Model]]:
     return KINDS[name]
 
 
+def shipped() -> dict[str, Path]:
+    """Return the files of the models that come with this package, by name."""
+    return {path.stem: path for path in sorted((Path(__file__).parents[1] / "weights").glob("*.pt"))}
+
+
+def halved(stored: Stored) -> bytes:
+    """Return a file's content with the matrices in half precision, for a model that comes with this package.
+
+    Raises:
+        ModelFileError: a weight is too large for half precision.
+    """
+    weights = {key: tensor.half() if tensor.ndim > 1 else tensor for key, tensor in stored.model.state_dict().items()}
+    if beyond := [key for key, tensor in weights.items() if not torch.isfinite(tensor).all()]:
+        raise ModelFileError(f"{beyond[0]}: has a weight beyond 65504, the largest in half precision")
+    return _to_bytes(stored.kind, stored.model, weights, stored.voxel, stored.metadata, stored.traits)
+
+
 def to_bytes(
     name: str, model: Model, voxel: float, metadata: Mapping[str, Any], traits: TraitDistribution | None = None
 ) -> bytes:
@@ -58,12 +75,24 @@ def to_bytes(
 
     They are plain values and tensors: reading them executes nothing.
     """
+    weights = {key: tensor.cpu() for key, tensor in model.state_dict().items()}
+    return _to_bytes(name, model, weights, voxel, metadata, traits)
+
+
+def _to_bytes(
+    name: str,
+    model: Model,
+    weights: Mapping[str, torch.Tensor],
+    voxel: float,
+    metadata: Mapping[str, Any],
+    traits: TraitDistribution | None,
+) -> bytes:
     content = {
         "kind": name,
         "network": parameters.as_metadata(model.settings),
         "voxel": voxel,
         "metadata": dict(metadata),
-        "weights": {key: tensor.cpu() for key, tensor in model.state_dict().items()},
+        "weights": dict(weights),
         "known": None if traits is None else _plain(traits),
     }
     buffer = io.BytesIO()  # a file's name would get into its bytes

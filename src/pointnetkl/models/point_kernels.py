@@ -8,6 +8,10 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import config
+
+# TBB last, which Numba would try first: an older one on the system makes it warn
+config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 PARTS = 128  # of the rows that a sum is taken over: more than there are cores
 _CHANNELS = 32  # at a time: their gradients stay in a core's cache
