@@ -43,6 +43,13 @@ def test_a_model_with_matrices_in_half_precision_answers_alike(tmp_path: Path, k
     assert not np.array_equal(half.predict(points), whole.predict(points))
 
 
+def test_a_model_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(model_file, "shipped", lambda: {"mine": toy_models.write(tmp_path, "pointnetkl")})
+    by_name, by_path = (pointnetkl.CovarianceEstimator.load(m) for m in ("mine", tmp_path / "pointnetkl.pt"))
+    points = terrains.cloud("mild", 900)
+    np.testing.assert_array_equal(by_name.predict(points), by_path.predict(points))
+
+
 def test_a_weight_beyond_half_precision_is_refused(tmp_path: Path):
     stored = model_file.read(toy_models.write(tmp_path, "pointnetkl"))
     with torch.no_grad():

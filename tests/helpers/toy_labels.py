@@ -39,7 +39,7 @@ def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 10
         folder / "submaps.parquet", submap.to_table(toy_submap(i, points) for i in range(submaps)), submap.POINTS, {}
     )
     line = {
-        "group": "train",
+        "group": "test",
         "raw": "none",
         "truth": "none",
         "submap_length_m": 100,
@@ -49,7 +49,7 @@ def write(folder: Path, submaps: int = SUBMAPS, runs: int = 20, points: int = 10
     params = {
         "label": parameters.as_metadata(SETTINGS),
         "registration": parameters.as_metadata(REGISTRATION),
-        "study": {"train": {"toy": line}, "surveys": {"toy": line}},
+        "study": {"train": {}, "test": {"toy": line}, "surveys": {"toy": line}},
     }
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     return folder

@@ -10,10 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
 
 import toy_labels
 from local_dask import LocalDask
+from pointnetkl.registration.covariance import label_table
 from pointnetkl.workflow import artifacts
 from toy_labels import change, fail, intact, kill, outputs, run, start, until, write
 
@@ -121,6 +124,23 @@ def test_submaps_that_stop_early_have_fewer_errors_and_then_nan(tmp_path: Path):
     assert len(set(finite.sum(axis=1))) > 1
     assert all(not np.diff(row.astype(int)).max() > 0 for row in finite)  # numbers first, then NaN to the end
     assert artifacts.read_arrays(tmp_path / "out/errors.npz")[0]["held_out"].shape == (8, 5, 2)
+
+
+def test_a_training_survey_has_the_same_labels_and_no_held_out_errors(tmp_path: Path):
+    for group in ("test", "train"):
+        (tmp_path / group).mkdir()
+    test, train = (write(tmp_path / group, 4) for group in ("test", "train"))
+    params = yaml.safe_load((train / "params.yaml").read_text())
+    line = params["study"]["test"].pop("toy") | {"group": "train"}
+    params["study"].update(train={"toy": line}, surveys={"toy": line})
+    (train / "params.yaml").write_text(yaml.safe_dump(params))
+    run(test)
+    run(train)
+    labels = [artifacts.read_table(folder / "out/labels.parquet", label_table.schema(2)) for folder in (test, train)]
+    pd.testing.assert_frame_equal(*labels)
+    arrays = [artifacts.read_arrays(folder / "out/errors.npz")[0] for folder in (test, train)]
+    np.testing.assert_array_equal(arrays[0]["errors"], arrays[1]["errors"])
+    assert [a["held_out"].shape for a in arrays] == [(4, 5, 2), (4, 0, 2)]
 
 
 def cluster(dask: LocalDask) -> dict[str, str]:

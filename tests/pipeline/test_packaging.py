@@ -33,7 +33,8 @@ def test_the_wheel_has_every_module_and_says_that_it_is_typed(wheel: Path):
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if name.startswith("pointnetkl/")}
     sources = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src/pointnetkl").rglob("*.py")}
-    assert packed == sources | {"pointnetkl/py.typed"}
+    weights = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src/pointnetkl/weights").glob("*.pt")}
+    assert packed == sources | weights | {"pointnetkl/py.typed"}
 
 
 @pytest.mark.slow

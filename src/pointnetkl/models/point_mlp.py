@@ -137,9 +137,9 @@ class _NormReLU(torch.autograd.Function):
         to_bias, centred = totals.double().sum(dim=0).float()
         slope = scale * centred * inverse**2 / len(rows)
         constant = scale * to_bias / len(rows) - mean * slope
-        to_rows = torch.empty_like(rows)
-        point_kernels.gradient_of_rows(*arrays, constant.numpy(), slope.numpy(), to_rows.numpy())
-        return to_rows, centred * inverse, to_bias, None
+        to_input = torch.empty_like(rows)
+        point_kernels.gradient_of_rows(*arrays, constant.numpy(), slope.numpy(), to_input.numpy())
+        return to_input, centred * inverse, to_bias, None
 
 
 class _Pool(torch.autograd.Function):
