@@ -1,5 +1,9 @@
 """Train one model on the training surveys' labels; write it, its losses as it goes, and how good it is."""
 
+import os
+
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # torch reads it once: large pages, a sixth less time a step
+
 import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
 
 # isort: split
