@@ -55,9 +55,7 @@ def step(name: str, inputs: tuple[Tensor, Tensor]) -> Callable[[], None]:
     model = pointnetkl.PointNetKL(_NETWORK).train()
     optimiser = torch.optim.Adam(model.parameters(), 1e-4, weight_decay=1e-4, amsgrad=True, fused=True)
     precision = "bfloat16" if name == "ours_bfloat16" else "float32"
-    for module in model.modules():
-        if isinstance(module, PooledMLP):
-            module.search = precision
+    point_mlp.search_in(model, precision)
     low = torch.autocast("cpu", torch.bfloat16) if name == "torch_bfloat16" else nullcontext()
     layers = nullcontext if name.startswith("ours") else torch_layers
 

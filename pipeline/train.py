@@ -46,6 +46,7 @@ def main(arguments: argparse.Namespace) -> None:
     metadata = {"surveys": surveys, **{name: parameters.as_metadata(each) for name, each in sections.items()}}
     network = parameters.as_metadata(model.settings)
     decides = {**metadata, "kind": kind, "network": network, "device": processor.type}
+    decides["train"] = {name: value for name, value in metadata["train"].items() if name != "steps"}  # may be raised
     kept = checkpoint.Checkpoint(arguments.checkpoints, checkpoint.name(decides, sets), arguments.every_s)
     outcome = loop.train(model, *sets, settings, kept, lambda history: write_losses(arguments.loss, history))
     loop.finish(model, sets[0], settings)
@@ -61,7 +62,7 @@ def main(arguments: argparse.Namespace) -> None:
     }
     artifacts.write_json(arguments.summary, summary)
     artifacts.write_bytes(arguments.onnx, model_file.to_onnx(model))
-    kept.discard()
+    kept.discard_others()
 
 
 def read_kind(params: Path, name: str) -> tuple[str, loop.Settings]:

@@ -44,8 +44,8 @@ class CovarianceEstimator:
     def load(cls, path: str | Path) -> "CovarianceEstimator":
         """Read a model, and set torch to one thread, which is the fastest for one submap.
 
-        `path` is a model's file (.pt), or the name of one that comes with the package: "pointnetkl". Nothing in the
-        file is executed.
+        `path` is a model's file (.pt), or the name of one that comes with the package (`model_file.shipped`). Nothing
+        in the file is executed.
 
         Raises:
             ModelFileError: the file is missing, damaged or holds something else.

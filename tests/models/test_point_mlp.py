@@ -9,6 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from pointnetkl.models import point_mlp
+from pointnetkl.models.model import ModelError
 from pointnetkl.models.point_mlp import PointMLP, PooledMLP
 
 
@@ -57,8 +59,9 @@ def test_answers_gradients_and_statistics_are_those_of_one_layer_after_the_other
         np.testing.assert_allclose(found[name], value, rtol=tolerance, atol=tolerance, err_msg=name)
 
 
-def test_the_number_of_threads_changes_no_bit():
-    features = torch.randn(40, 30, 5)
+@pytest.mark.skipif(numba.get_num_threads() < 2, reason="one core has one number of threads")
+def test_the_number_of_the_kernels_threads_changes_no_bit():
+    features = torch.randn(40, 100, 5)  # searched in two parts
     before = numba.get_num_threads()
     outcomes = []
     for threads in (1, before):
@@ -67,6 +70,37 @@ def test_the_number_of_threads_changes_no_bit():
         outcomes.append(outcome(layers, layers, features))
     for name, value in outcomes[0].items():
         np.testing.assert_array_equal(outcomes[1][name], value, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", [PointMLP, PooledMLP])
+def test_a_coordinate_that_is_no_number_is_not_lost(kind: type[PointMLP]):
+    layers = some(kind, torch.float32).train()
+    features = torch.randn(6, 30, 5) if kind is PooledMLP else torch.randn(180, 5)
+    features.view(-1)[3] = float("nan")
+    assert layers(features).isnan().any()
+
+
+def test_one_row_in_training_is_refused_and_changes_no_statistic():
+    layers = some(PooledMLP, torch.float32).train()
+    before = layers[1].running_mean.clone()
+    with pytest.raises(ModelError, match="has 1 row to take a variance of"):
+        layers(torch.randn(1, 1, 5))
+    np.testing.assert_array_equal(layers[1].running_mean, before)
+
+
+def test_autocast_on_a_cpu_takes_torch_s_operations():
+    layers = some(PooledMLP, torch.float32).train()
+    with torch.autocast("cpu", torch.bfloat16):
+        layers(torch.randn(6, 30, 5)).sum().backward()
+    assert all(parameter.grad.isfinite().all() for parameter in layers.parameters() if parameter.grad is not None)
+
+
+def test_a_search_that_may_round_ends_near_the_largest():
+    features = torch.randn(6, 30, 5)
+    layers = some(PooledMLP, torch.float32).train()
+    exact = layers(features)
+    point_mlp.search_in(layers, "bfloat16")
+    np.testing.assert_allclose(layers(features).detach(), exact.detach(), atol=0.05)
 
 
 def test_a_channel_far_from_zero_keeps_its_variance():

@@ -260,6 +260,28 @@ def test_a_training_that_goes_on_from_a_checkpoint_ends_as_one_that_was_never_st
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_longer_training_goes_on_from_a_shorter_one_and_ends_as_if_there_had_been_none(tmp_path: Path):
+    longer = dataclasses.replace(QUICK, steps=10)
+    whole, undisturbed = trained(longer)
+    trained(QUICK, kept=checkpoint.Checkpoint(tmp_path, "a", 1e9))
+    kept = checkpoint.Checkpoint(tmp_path, "a", 1e9)
+    assert kept.load()["values"]["step"] == QUICK.steps
+    model, outcome = trained(longer, kept=kept)
+    assert model_file.to_bytes("pointnetkl", model, 0.01, {}) == model_file.to_bytes("pointnetkl", whole, 0.01, {})
+    assert outcome.history.equals(undisturbed.history)
+    shorter = trained(QUICK, kept=kept)[1]  # what is kept is beyond its end
+    assert shorter.history.equals(trained(QUICK)[1].history)
+
+
+def test_states_of_abandoned_trainings_are_deleted_and_the_own_is_not(tmp_path: Path):
+    kept = checkpoint.Checkpoint(tmp_path, "a", 0.0)
+    for name in ("a", "b"):
+        checkpoint.Checkpoint(tmp_path, name, 0.0).keep({"step": 3})
+    (tmp_path / ".b.pt.partial").touch()
+    kept.discard_others()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.pt"]
+
+
 def test_a_damaged_checkpoint_is_none(tmp_path: Path):
     kept = checkpoint.Checkpoint(tmp_path, "a", 0.0)
     kept.offer(lambda: {"step": 3})
@@ -291,6 +313,13 @@ def test_a_gpu_is_taken_where_there_is_one_and_demanded_only_in_a_sentence(monke
         monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda able=able: able)
         assert device.low_precision(torch.device("cuda")) is expected
     assert device.low_precision(CPU) is None
+
+
+def test_products_that_may_round_train_about_as_well():
+    exact, rounded = (trained(dataclasses.replace(QUICK, precision=p))[1].history for p in ("float32", "bfloat16"))
+    losses = ["step", "training", "validation"]
+    np.testing.assert_allclose(rounded[losses], exact[losses], rtol=0.05)
+    assert torch.get_float32_matmul_precision() == "highest"
 
 
 def test_mixed_precision_trains_about_as_well(monkeypatch: pytest.MonkeyPatch):
@@ -377,7 +406,7 @@ def test_the_stage_writes_a_model_its_losses_and_its_scores(whole: Path):
     assert losses[0] == "step,training,validation,gradient_median,gradient_largest"
     assert [int(line.split(",")[0]) for line in losses[1:]] == list(range(0, 41, 5))
     assert model_file.read(whole / "m.pt").metadata["surveys"] == ["baltic", "shetland"]
-    assert not list((whole / "checkpoints").iterdir())
+    assert len(list((whole / "checkpoints").iterdir())) == 1  # from which a longer training goes on
 
 
 @pytest.mark.slow

@@ -8,12 +8,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import config
 
-# TBB last, which Numba would try first: an older one on the system makes it warn
-config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
-
-PARTS = 128  # of the rows that a sum is taken over: more than there are cores
+PARTS = 128  # of the rows that a sum is taken over, whatever the number of threads
 _CHANNELS = 32  # at a time: their gradients stay in a core's cache
 
 _kernel: Any = numba.njit(
@@ -92,7 +88,7 @@ def scale_relu(rows, scale, shift, outputs):  # type: ignore[no-untyped-def]
         for r in range(part * count // PARTS, (part + 1) * count // PARTS):
             for c in range(channels):
                 value = rows[r, c] * scale[c] + shift[c]
-                outputs[r, c] = value if value > 0 else np.float32(0)
+                outputs[r, c] = np.float32(0) if value <= 0 else value  # so that NaN stays NaN
 
 
 @_kernel
@@ -103,7 +99,7 @@ def gradient_sums(gradient, rows, scale, shift, mean, totals):  # type: ignore[n
         first_order, second_order = np.zeros(channels, np.float32), np.zeros(channels, np.float32)
         for r in range(part * count // len(totals), (part + 1) * count // len(totals)):
             for c in range(channels):
-                value = gradient[r, c] if rows[r, c] * scale[c] + shift[c] > 0 else np.float32(0)
+                value = np.float32(0) if rows[r, c] * scale[c] + shift[c] <= 0 else gradient[r, c]
                 first_order[c] += value
                 second_order[c] += value * (rows[r, c] - mean[c])
         totals[part, 0] = first_order
@@ -117,5 +113,5 @@ def gradient_of_rows(gradient, rows, scale, shift, constant, slope, outputs):  #
     for part in numba.prange(PARTS):
         for r in range(part * count // PARTS, (part + 1) * count // PARTS):
             for c in range(channels):
-                value = gradient[r, c] if rows[r, c] * scale[c] + shift[c] > 0 else np.float32(0)
+                value = np.float32(0) if rows[r, c] * scale[c] + shift[c] <= 0 else gradient[r, c]
                 outputs[r, c] = scale[c] * value - constant[c] - slope[c] * rows[r, c]

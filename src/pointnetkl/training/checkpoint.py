@@ -1,6 +1,5 @@
-"""The state of a training, kept in a file from time to time, so that a killed training goes on from there."""
+"""The state of a training, kept in a file, so that a killed training, or a longer one, goes on from there."""
 
-import contextlib
 import hashlib
 import importlib.metadata
 import inspect
@@ -42,28 +41,40 @@ class Checkpoint:
         Raises:
             ArtifactError: it cannot be written.
         """
-        if time.monotonic() - self.kept_at < self.every_s:
-            return
+        if time.monotonic() - self.kept_at >= self.every_s:
+            self.keep(state())
+
+    def keep(self, state: dict[str, Any]) -> None:
+        """Keep the state.
+
+        Raises:
+            ArtifactError: it cannot be written.
+        """
         buffer = io.BytesIO()
-        torch.save(state(), buffer)
+        torch.save(state, buffer)
         artifacts.write_bytes(self.path, buffer.getvalue())
         self.kept_at = time.monotonic()
 
-    def discard(self) -> None:
-        """Delete every state in the folder: the model is trained, and its abandoned trainings are out of date."""
+    def discard_others(self) -> None:
+        """Delete every other state in the folder: the model is trained, and its abandoned trainings are out of date."""
         for path in (*self.path.parent.glob("*.pt"), *self.path.parent.glob(".*.partial")):
-            with contextlib.suppress(FileNotFoundError):
-                path.unlink()
+            if path != self.path:
+                path.unlink(missing_ok=True)
+
+    def discard(self) -> None:
+        """Delete every state in the folder."""
+        self.discard_others()
+        self.path.unlink(missing_ok=True)
 
 
 def name(settings: Mapping[str, Any], samples: tuple[Samples, ...]) -> str:
-    """Return a hash of the settings, the data, this package's loaded code, and the versions of numpy and torch."""
+    """Return a hash of the settings, the data, this package's loaded code, and the versions of libraries."""
     modules = {key: module for key, module in sys.modules.items() if key.startswith("pointnetkl.")}
     content = {
         "settings": settings,
         "samples": [_digest(each) for each in samples],
         "sources": {key: inspect.getsource(module) for key, module in sorted(modules.items()) if _has_code(module)},
-        "libraries": [importlib.metadata.version(library) for library in ("numpy", "torch")],
+        "libraries": [importlib.metadata.version(library) for library in ("numpy", "torch", "numba", "llvmlite")],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

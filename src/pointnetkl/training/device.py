@@ -1,5 +1,7 @@
 """The device of a training: a GPU in mixed precision, or the CPU in full precision, the same to the bit each time."""
 
+import os
+
 import torch
 from numba import set_num_threads
 from numba.core import config
@@ -27,6 +29,9 @@ def prepare(seed: int, threads: int, device: torch.device) -> None:
     """Make torch give the same bits every time on a CPU: set its generator, its threads and its algorithms."""
     torch.manual_seed(seed)
     torch.set_num_threads(threads)
+    if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+        # TBB last, which Numba would try first: an older one on the system makes it warn
+        config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
     set_num_threads(min(threads, config.NUMBA_NUM_THREADS))
     # as use_deterministic_algorithms does, which also imports a compiler, for seconds
     torch.set_deterministic_debug_mode("error" if device.type == "cpu" else "default")

@@ -12,7 +12,6 @@ from tqdm import tqdm
 
 from pointnetkl.models import model, point_mlp
 from pointnetkl.models.model import Model
-from pointnetkl.models.point_mlp import PooledMLP
 from pointnetkl.models.samples import Samples
 from pointnetkl.training import batch_norm, device, loss
 from pointnetkl.training.checkpoint import Checkpoint
@@ -53,14 +52,15 @@ def train(
 ) -> Outcome:
     """Train the model on its device, give it the weights with the best validation, and return how training went.
 
-    `checkpoint` keeps the state from time to time, and a second try goes on from there; `watch` gets the history after
-    every new row.
+    `checkpoint` keeps the state from time to time and at the end, and a second try or one of more steps goes on from
+    there; `watch` gets the history after every new row.
 
     Raises:
         TrainingError: the loss is not a number.
     """
     run = _Run(untrained, training, validation, settings)
-    if checkpoint and (kept := checkpoint.load()):
+    kept = checkpoint.load() if checkpoint else None
+    if kept and kept["values"]["step"] <= settings.steps:
         run.restore(kept)
     else:
         run.begin()
@@ -77,6 +77,8 @@ def train(
         if checkpoint:
             checkpoint.offer(run.state)
     bar.close()
+    if checkpoint and run.step == settings.steps and run.step % every == 0:  # a longer training has this row too
+        checkpoint.keep(run.state())
     untrained.load_state_dict(run.best_weights)
     return Outcome(run.history(), run.best_step, run.step)
 
@@ -87,12 +89,11 @@ class _Run:
     def __init__(self, untrained: Model, training: Samples, validation: Samples, settings: Settings) -> None:
         self.model, self.training, self.validation, self.settings = untrained, training, validation, settings
         self.points = _points(settings)
-        self.precision = settings.precision if isinstance(settings, CloudSettings) else "float32"
-        for module in untrained.modules():
-            if isinstance(module, PooledMLP):
-                module.search = self.precision
         processor = next(untrained.parameters()).device
         self.processor, self.low = processor, device.low_precision(processor)
+        self.precision = "float32"
+        if isinstance(settings, CloudSettings) and processor.type == "cpu":
+            self.precision = settings.precision
         self.optimiser = torch.optim.Adam(
             untrained.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, amsgrad=True, fused=True
         )
@@ -112,6 +113,7 @@ class _Run:
     def advance(self) -> None:
         """Take one step of the optimiser."""
         self.model.train()
+        point_mlp.search_in(self.model, self.precision)
         indices = self.rng.integers(len(self.training), size=self.settings.batch)
         with torch.autocast(self.processor.type, self.low, enabled=self.low is not None):
             floor_m2 = self.settings.floor_m2
@@ -187,6 +189,7 @@ def _take_statistics(trained: Model, training: Samples, settings: Settings, poin
     """Put a model in evaluation mode; batch norms, which models without clouds have not, take new statistics."""
     trained.eval()
     if isinstance(settings, CloudSettings):
+        point_mlp.search_in(trained, "float32")  # as evaluation, which takes the very largest
         rng = np.random.default_rng([settings.seed, _STATISTICS])
         indices = rng.permutation(len(training))[: settings.statistics_batches * settings.statistics_batch]
         batch_norm.take_statistics(trained, training, _parts(indices, settings.statistics_batch), points, rng)

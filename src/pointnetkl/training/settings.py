@@ -52,7 +52,7 @@ class CloudSettings(Settings):
     """
 
     points: int  # of each submap, drawn anew
-    precision: str  # float32, or bfloat16: in which a CPU searches the points that are largest, and goes backward
+    precision: str  # float32, or bfloat16: a CPU may round so in searches of the largest and in going backward
     statistics_batches: int  # of so many submaps, whose means and variances a batch norm has in evaluation
     statistics_batch: int
 
