@@ -1,7 +1,8 @@
 """What more submaps and more steps are worth to a model: it is trained on random parts of the training submaps.
 
 All parts are validated on the same submaps, and judged on the test surveys. The smaller parts are among the larger. A
-batch has no more submaps than the part. A killed run goes on where it was; what is finished is kept in --out.
+batch has no more submaps than the part. The last state of each training is kept in --out (some 140 MB): a second run
+with the same settings and data goes on from there.
 """
 
 import argparse
@@ -25,6 +26,8 @@ def main(arguments: argparse.Namespace) -> None:
     """Train on each part, and write learning_curve.csv and a loss_<submaps>.csv for each."""
     study = studies.read(arguments.params)
     kind = parameters.read(arguments.params, f"models.{arguments.model}.kind", str)
+    if kind != "pointnetkl":
+        raise SystemExit(f"{arguments.params}: models.{arguments.model}.kind is {kind}, must be pointnetkl here")
     settings = parameters.read(arguments.params, f"models.{arguments.model}.train", loop.KINDS[kind])
     settings = dataclasses.replace(settings, **dict(map(setting, arguments.train)))
     samples, _ = dataset.read(arguments.data / "train", list(study.train))
@@ -34,11 +37,8 @@ def main(arguments: argparse.Namespace) -> None:
     order = np.random.default_rng(arguments.seed).permutation(len(training))
     rows = []
     for submaps in arguments.submaps:
-        done = arguments.out / f"part_{submaps}.json"
-        if not done.exists():
-            part = training.take(np.sort(order[:submaps]))
-            artifacts.write_json(done, judge(arguments, kind, settings, part, judged))
-        rows.append(artifacts.read_json(done))
+        part = training.take(np.sort(order[:submaps]))
+        rows.append(judge(arguments, kind, settings, part, judged))
         artifacts.write_bytes(arguments.out / "learning_curve.csv", pd.DataFrame(rows).to_csv(index=False).encode())
     print(pd.DataFrame(rows).to_string(index=False))
 
@@ -69,7 +69,7 @@ def judge(
 
     outcome = loop.train(model, *sets, settings, kept, watch)
     loop.finish(model, part, settings)
-    kept.discard()
+    kept.discard_others()
     kl = {name: mean_kl(loop.predict(model, s), s.label) for name, s in {"training": part, **judged}.items()}
     return {"submaps": len(part), "steps": outcome.steps, "best_step": outcome.best_step, **kl}
 
