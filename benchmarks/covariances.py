@@ -1,8 +1,8 @@
 """KL divergence and calibration of every method, without the SLAM that a report needs; and leave-one-class-out.
 
 For runs too large to finish: it reads what label, train, estimate and predict have made below --data, --models and
---reports, of the test surveys that have labels and covariances. It writes below --out: metrics.json, kl.csv, Table II
-(tables/table_2), every measure by terrain class and by the size of the label (tables/terrain, classes.csv), how each
+--reports, of the test surveys that have labels and covariances. It writes below --out: covariances.json, kl.csv, Table
+II (tables/table_2), every measure by terrain class and by the size of the label (tables/terrain, classes.csv), how each
 model was trained (loss_<model>.csv, figures/training.png, models/<model>.md), the submaps that --drawn is worst and
 best at (figures/), and leave_one_class_out.csv.
 """
@@ -53,7 +53,7 @@ def main(arguments: argparse.Namespace) -> None:
     write_tables(arguments.out, numbers, training.read_divergences(folders, chosen.kl_floor_m2))
     write_trainings(arguments.out, folders)
     draw(arguments, folders, judged, chosen)
-    write(arguments.out, "metrics.json", json.dumps(report.known_only(report.published(numbers)), indent=2) + "\n")
+    write(arguments.out, "covariances.json", json.dumps(report.known_only(report.published(numbers)), indent=2) + "\n")
     write(arguments.out, "kl.csv", text_table.csv(pd.DataFrame(kl_rows(numbers))))
     write(arguments.out, "classes.csv", text_table.csv(pd.DataFrame(class_rows(numbers))))
     if arguments.network:

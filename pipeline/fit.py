@@ -4,7 +4,10 @@ import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
 
 # isort: split
 import argparse
+import dataclasses
 from pathlib import Path
+
+import numpy as np
 
 from pointnetkl.methods.closed_forms.self_registration import SelfRegistration
 from pointnetkl.methods.fitted import fitting, learned
@@ -43,10 +46,17 @@ def read_settings(paths: list[Path]) -> tuple[monte_carlo.Settings, gicp.Setting
 def read_training(folder: Path, surveys: list[str], setup: SelfRegistration) -> fitting.Training:
     """Read every training survey's submaps and labels; an error names the first file that is missing."""
     # a group of rows at a time: the whole table of a large survey beside its submaps is too much
-    submaps = [list(submap.stream(name, folder / name / "submaps.parquet")) for name in surveys]
+    streams = [submap.stream(name, folder / name / "submaps.parquet") for name in surveys]
+    submaps = [[s if setup.label.copy == "split" else without_halves(s) for s in stream] for stream in streams]
     columns = label_table.schema(setup.registration.dimensions)
     labels = [artifacts.read_table(folder / name / "labels.parquet", columns) for name in surveys]
     return fitting.training(submaps, labels, setup)
+
+
+def without_halves(whole: submap.Submap) -> submap.Submap:
+    """Return a submap without the halves of its points, which only labels of copy split look at: half of the memory."""
+    none = np.empty((0, 3))
+    return dataclasses.replace(whole, first=none, second=none)
 
 
 if __name__ == "__main__":
