@@ -1,0 +1,36 @@
+"""How a pair is registered: by GICP, as the paper does, or to the most probable place (MAP)."""
+
+from dataclasses import dataclass
+
+from pointnetkl.registration import gicp
+from pointnetkl.workflow.errors import PointNetKLError
+from pointnetkl.workflow.parameters import require_positive
+
+METHODS = ("gicp", "map")
+
+
+class PairError(PointNetKLError):
+    """A pair of clouds cannot be registered, or its variance cannot be told."""
+
+
+@dataclass(frozen=True)
+class Settings(gicp.Settings):
+    """Section `registration` of the parameters, with the method of registration.
+
+    They are settings of GICP too: labels, which know GICP alone, take them as they are.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+
+    method: str = "gicp"  # gicp: the paper; map: along normals alone, with the start's prior as a factor
+    map_steps: int = 15  # at most; on flat ground more change an rms error of 0.51 m to 0.49 m
+    residuals_as_one: float = 8.0  # neighbours' residuals are alike: so many count as one while the place is searched
+    longest_step_spacings: float = 2.0  # of the search, in point spacings
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        super().__post_init__()
+        if self.method not in METHODS:
+            raise ValueError(f"method is {self.method!r}, must be {METHODS[0]} or {METHODS[1]}")
+        require_positive(self, "map_steps", "residuals_as_one", "longest_step_spacings")
