@@ -5,7 +5,7 @@ Equations are those of docs/closures.md; `pair.reference` has the same in plain 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,6 +17,18 @@ from pointnetkl.registration.pair.settings import PairError
 from pointnetkl.surveys.se2 import SE2, rotate
 
 _f32, _u64 = np.float32, np.uint64
+
+
+class Source(Protocol):
+    """A cloud that moves: a gicp.Cloud, or a gicp.Part of one."""
+
+    @property
+    def points(self) -> np.ndarray:
+        """The points (n, 3), metres."""
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Their normals (n, 3) float32, unit."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +56,7 @@ class Forces:
 
 
 def at(
-    source: gicp.Source,
+    source: Source,
     target: gicp.Cloud,
     T_target_source: SE2,
     block_m: float,
@@ -59,10 +71,17 @@ def at(
     Raises:
         PairError: blocks are so small that most hold no point.
     """
-    # the kernel takes a source that is moved first, and then turns it
-    move = rotate(T_target_source.translation, -T_target_source.yaw)
-    arguments = source.as_source(target, np.array([*move, 0.0])), target.as_target, float(T_target_source.yaw)
-    return from_kernel(_at(*arguments, block_m, limits(settings), in_plane), settings.dimensions, block_m)
+    cloud, yaw = as_source(source, target, T_target_source), float(T_target_source.yaw)
+    return from_kernel(
+        _at(cloud, target.as_target, yaw, block_m, limits(settings), in_plane), settings.dimensions, block_m
+    )
+
+
+def as_source(source: Source, target: gicp.Cloud, start: SE2) -> Any:
+    """Return a source as the kernels take it, who turn it by start.yaw themselves."""
+    # they take a source that is moved first, and then turned; a part has no neighbours that would be copied
+    move = rotate(start.translation, -start.yaw)
+    return gicp.Part(source.points, source.normals).as_source(target, np.array([*move, 0.0]))
 
 
 def from_kernel(sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], dimensions: int, block_m: float) -> Forces:
@@ -73,7 +92,9 @@ def from_kernel(sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], dim
     """
     stiffness, ground, variance, (f_x, f_y, f_yaw, square, matched, count, lever, scale) = sums
     if count < 0:
-        raise PairError(f"blocks of {block_m:g} m are too small for the cloud: most hold no point; raise block_spacings")
+        raise PairError(
+            f"blocks of {block_m:g} m are too small for the cloud: most hold no point; raise block_spacings"
+        )
     m = dimensions
     return Forces(
         total=np.array([f_x, f_y, f_yaw])[:m],
@@ -89,7 +110,8 @@ def from_kernel(sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], dim
 
 
 class _Sums(NamedTuple):
-    arms: np.ndarray  # (n, 2) metres, from the source's centroid
+    x: np.ndarray  # (n,) metres, from the source's centroid
+    y: np.ndarray
     forces: np.ndarray  # (n, 3)
     H: np.ndarray  # (3, 3), its upper triangle
     X: np.ndarray  # (3, 3), not symmetric
@@ -104,13 +126,14 @@ def _at(source, target, yaw, block, limits, in_plane):  # type: ignore[no-untype
 
 @compilation.kernel
 def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-untyped-def]
-    """Return H (its upper triangle), X (not symmetric) and S (3, 3) of a kernel.Cloud's matches at a place, and eight numbers.
+    """Return H (its upper triangle), X (not symmetric) and S, (3, 3) each, of a Cloud's matches at a place.
 
-    These are f_x, f_y, f_yaw, the sum of d^T M_n d, matched points, blocks, the lever in metres, the sum of tr M_n.
+    With them eight numbers: f_x, f_y, f_yaw, the sum of d^T M_n d, matched points, blocks, the lever in metres, and the
+    sum of tr M_n.
     """
     n, matched = len(cloud.copy.x), 0
-    sums, numbers = _Sums(np.empty((n, 2)), np.empty((n, 3)), np.zeros((3, 3)), np.zeros((3, 3))), np.zeros(8)
-    place = math.cos(motion.yaw), math.sin(motion.yaw), motion.x, motion.y
+    sums, numbers = _Sums(np.empty(n), np.empty(n), np.empty((n, 3)), np.zeros((3, 3)), np.zeros((3, 3))), np.zeros(8)
+    place = math.cos(motion.yaw), math.sin(motion.yaw), motion.x, motion.y, 1 / cloud.lever
     for i in range(n):
         if cloud.copy.matches[i] >= 0:
             square, k = _add(_u64(i), matched, cloud, target, place, np.float64(epsilon), in_plane, sums)
@@ -119,7 +142,7 @@ def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-u
             matched += 1
     for axis in range(3):
         numbers[axis] = sums.forces[:matched, axis].sum()
-    S, count = blocks.variance(sums.arms[:matched], sums.forces[:matched], block)
+    S, count = blocks.variance(sums.x[:matched], sums.y[:matched], sums.forces[:matched], block)
     numbers[4], numbers[5], numbers[6] = matched, count, cloud.lever
     return sums.H, sums.X, S, numbers
 
@@ -127,7 +150,12 @@ def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-u
 @compilation.device
 def _add(i, row, cloud, target, place, epsilon, in_plane, sums):  # type: ignore[no-untyped-def]
     # fills a row of arms and forces with a point's, adds its part to H and X; returns its d^T M_n d and tr M_n
-    copy, j, n, (cosine, sine, tx, ty) = cloud.copy, _u64(3) * _u64(cloud.copy.matches[i]), _u64(3) * i, place
+    copy, j, n, (cosine, sine, tx, ty, per_lever) = (
+        cloud.copy,
+        _u64(3) * _u64(cloud.copy.matches[i]),
+        _u64(3) * i,
+        place,
+    )
     px, py = copy.x[i] - cloud.x, copy.y[i] - cloud.y
     rx, ry = cosine * px - sine * py, sine * px + cosine * py
     qx = rx + cosine * cloud.x - sine * cloud.y + tx
@@ -136,13 +164,11 @@ def _add(i, row, cloud, target, place, epsilon, in_plane, sums):  # type: ignore
     ax = cosine * copy.normals[n] - sine * copy.normals[n + _u64(1)]
     ay = sine * copy.normals[n] + cosine * copy.normals[n + _u64(1)]
     bx, by = np.float64(target.normals[j]), np.float64(target.normals[j + _u64(1)])
-    xx, xy, yy, fx, fy, square = along_normals.weigh(
-        qx, qy, qz, ax, ay, az, target.points, target.normals, j, epsilon
-    )
+    xx, xy, yy, fx, fy, square = along_normals.weigh(qx, qy, qz, ax, ay, az, target.points, target.normals, j, epsilon)
     if in_plane:
         fx, fy = fx + 0.5 * (target.points[j] - qx), fy + 0.5 * (target.points[j + _u64(1)] - qy)
-    jx, jy = -ry / cloud.lever, rx / cloud.lever  # the column of yaw in the Jacobian, Eq. 3
-    sums.arms[row, 0], sums.arms[row, 1] = rx, ry
+    jx, jy = -ry * per_lever, rx * per_lever  # the column of yaw in the Jacobian, Eq. 3
+    sums.x[row], sums.y[row] = rx, ry
     sums.forces[row, 0], sums.forces[row, 1], sums.forces[row, 2] = fx, fy, jx * fx + jy * fy
     x_yaw, y_yaw = xx * jx + xy * jy, xy * jx + yy * jy
     for one, other, value in ((0, 0, xx), (0, 1, xy), (1, 1, yy), (0, 2, x_yaw), (1, 2, y_yaw)):

@@ -107,6 +107,7 @@ def _match(copy, target, motion, terms, sums, limits):  # type: ignore[no-untype
 @kernel
 def _exchange(copy, target, epsilon, count, terms, sums):  # type: ignore[no-untyped-def]
     # puts the new terms of the first `count` stale points into the sums, in place of their old ones
+    s0, s1, s2, s3, s4, s9 = sums[0], sums[1], sums[2], sums[3], sums[4], sums[9]  # locals stay in registers
     for c in range(count):
         i = _u64(copy.stale[_u64(c)])
         n, t = _u64(3) * i, _u64(_TERMS) * i
@@ -115,10 +116,23 @@ def _exchange(copy, target, epsilon, count, terms, sums):  # type: ignore[no-unt
             copy.x[i], copy.y[i], copy.z[i], copy.normals[n], copy.normals[n + _u64(1)], copy.normals[n + _u64(2)],
             target.points, target.normals, _u64(3) * _u64(max(copy.matches[i], 0)), epsilon,
         )  # fmt: skip
-        for term, value in ((0, xx), (1, xy), (2, yy), (3, fx), (4, fy), (5, square)):
-            new = matched * value
-            sums[term if term < 5 else 9] += np.float64(new) - np.float64(terms[t + _u64(term)])
-            terms[t + _u64(term)] = new
+        xx, xy, yy, fx, fy, square = (
+            matched * xx,
+            matched * xy,
+            matched * yy,
+            matched * fx,
+            matched * fy,
+            matched * square,
+        )
+        s0 += np.float64(xx) - np.float64(terms[t])
+        s1 += np.float64(xy) - np.float64(terms[t + _u64(1)])
+        s2 += np.float64(yy) - np.float64(terms[t + _u64(2)])
+        s3 += np.float64(fx) - np.float64(terms[t + _u64(3)])
+        s4 += np.float64(fy) - np.float64(terms[t + _u64(4)])
+        s9 += np.float64(square) - np.float64(terms[t + _u64(5)])
+        terms[t], terms[t + _u64(1)], terms[t + _u64(2)] = xx, xy, yy
+        terms[t + _u64(3)], terms[t + _u64(4)], terms[t + _u64(5)] = fx, fy, square
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[9] = s0, s1, s2, s3, s4, s9
 
 
 @kernel

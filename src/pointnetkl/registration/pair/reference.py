@@ -1,7 +1,7 @@
 """MAP registration and the forces of a pair in plain NumPy, as docs/closures.md derives them.
 
-A k-d tree, dense matrices, float64, and nothing kept from one step to the next. This module is for reading. `kernel` and
-`forces` do the same a hundred times as fast; tests compare them with this. Equation numbers are those of
+A k-d tree, dense matrices, float64, and nothing kept from one step to the next. This module is for reading. `kernel`
+and `forces` do the same many times as fast; tests compare them with this. Equation numbers are those of
 docs/closures.md.
 """
 

@@ -7,7 +7,7 @@ import numpy as np
 from pointnetkl.registration import gicp
 from pointnetkl.registration.gicp.registration import limits
 from pointnetkl.registration.pair import compilation, forces, kernel
-from pointnetkl.registration.pair.forces import Forces
+from pointnetkl.registration.pair.forces import Forces, Source
 from pointnetkl.registration.pair.settings import PairError, Settings
 from pointnetkl.surveys.se2 import SE2, rotate
 
@@ -24,7 +24,7 @@ class Estimate:
 
 
 def register(
-    source: gicp.Source,
+    source: Source,
     target: gicp.Cloud,
     prior: np.ndarray,
     spacing_m: float,
@@ -56,10 +56,9 @@ def register(
         return _by_gicp(source, target, block_m, settings, start)
     if start.yaw and settings.dimensions == 2:
         raise PairError(f"a start with a yaw of {start.yaw:g} rad needs the dof xyyaw; set registration.dof to xyyaw")
-    move = rotate(start.translation, -start.yaw)
     limit = replace(settings, max_iterations=settings.map_steps)
     (x, y, yaw), sums, iterations, converged = _register(
-        source.as_source(target, np.array([*move, 0.0])),
+        forces.as_source(source, target, start),
         target.as_target,
         float(start.yaw),
         block_m,
@@ -67,16 +66,14 @@ def register(
         _search(prior, spacing_m, settings),
     )
     end = forces.from_kernel(sums, settings.dimensions, block_m)
-    T = SE2(np.array([x, y]), yaw) @ SE2(move, 0.0)
-    return Estimate(T, end, converged, iterations, end.matched / len(source.points))
+    T_target_source = SE2(np.array([x, y]) + rotate(start.translation, yaw - start.yaw), yaw)
+    return Estimate(T_target_source, end, converged, iterations, end.matched / len(source.points))
 
 
-def _by_gicp(source: gicp.Source, target: gicp.Cloud, block_m: float, settings: Settings, start: SE2) -> Estimate:
-    found = gicp.register(source, target, settings, start)
+def _by_gicp(source: Source, target: gicp.Cloud, block_m: float, settings: Settings, start: SE2) -> Estimate:
+    found = gicp.register(gicp.Part(source.points, source.normals), target, settings, start)
     end = forces.at(source, target, found.T_target_source, block_m, settings, in_plane=True)
-    return Estimate(
-        found.T_target_source, end, found.converged, found.iterations, end.matched / len(source.points)
-    )
+    return Estimate(found.T_target_source, end, found.converged, found.iterations, end.matched / len(source.points))
 
 
 def _search(prior: np.ndarray, spacing_m: float, settings: Settings) -> kernel.Search:
