@@ -23,8 +23,16 @@ def prior(dof: str, sigma_m: float = 3.0) -> np.ndarray:
 
 
 def points(kind: str, number: int, noise_m: float = NOISE_M) -> np.ndarray:
-    """Return a pass (n, 3) over the ground of terrains.cloud, in metres; other numbers are other passes."""
-    clean = terrains.cloud(kind, POINTS, number, SIZE_M)
+    """Return a pass (n, 3) over the ground of terrains.cloud, in metres; other numbers are other passes.
+
+    The ridge is a wider one, and "hills" are mild ground with waves of 80 m: a normal is a mean over 15 m, which takes
+    half of the slope of waves of 20 m away.
+    """
+    clean = terrains.cloud("flat" if kind == "hills" else kind, POINTS, number, SIZE_M)
+    if kind == "ridge":
+        clean[:, 2] = 3 * np.exp(-((clean[:, 1] / 20) ** 2))
+    if kind == "hills":
+        clean[:, 2] = 4 * terrains.height("mild", clean[:, :2] / 4)
     return clean + np.random.default_rng([11, number]).normal(0, noise_m, (len(clean), 1)) * [0, 0, 1]
 
 

@@ -28,6 +28,7 @@ def test_forces_and_stiffness_are_those_of_the_reference(kind: str, dof: str, in
     assert np.allclose(ours.total / size, total / size, atol=1e-3 * np.abs(total / size).max())
     assert np.allclose(ours.stiffness / np.outer(size, size), stiffness / np.outer(size, size), atol=1e-4)
     assert np.allclose(ours.ground / np.outer(size, size), ground / np.outer(size, size), atol=1e-4)
+    assert np.allclose(ours.chance, reference.chance(matched), rtol=1e-3, atol=1e-4 * np.diag(stiffness).max())
     variance = reference.force_variance(matched.arms, forces, BLOCK_M)
     assert np.allclose(ours.variance, variance, rtol=1e-3, atol=1e-3 * variance.max())
     assert ours.residual_variance == pytest.approx(reference.residual_variance(matched), rel=1e-4)
@@ -62,6 +63,22 @@ def test_a_normal_may_have_either_sign(dof: str) -> None:
     ours, same = (pair.at(each, target, PLACE[dof], BLOCK_M, SETTINGS[dof]) for each in (source, flipped))
     assert same.ground == pytest.approx(ours.ground)
     assert same.stiffness == pytest.approx(ours.stiffness)
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_forces_and_stiffness_turn_with_the_clouds(dof: str) -> None:
+    R, m = pairs.rotation(0.7), SETTINGS[dof].dimensions
+    clouds = [gicp.prepare(pairs.points("mild", k) @ R.T, pairs.GICP) for k in (0, 1)]
+    place = SE2(R[:2, :2] @ PLACE[dof].translation, PLACE[dof].yaw)
+    straight = pair.at(*pairs.clouds("mild"), PLACE[dof], BLOCK_M, SETTINGS[dof])
+    turned = pair.at(*clouds, place, BLOCK_M, SETTINGS[dof])
+    R = R[:m, :m]
+    assert turned.total == pytest.approx(R @ straight.total, rel=1e-2)
+    for name in ("stiffness", "ground", "chance"):
+        was, now = getattr(straight, name), getattr(turned, name)
+        assert now == pytest.approx(R @ was @ R.T, abs=2e-3 * np.abs(was).max())
+    # blocks lie along the axes, and are others
+    assert np.trace(turned.variance) == pytest.approx(np.trace(straight.variance), rel=0.3)
 
 
 def variance(xy: np.ndarray, forces: np.ndarray, block_m: float) -> np.ndarray:

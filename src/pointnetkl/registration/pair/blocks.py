@@ -1,4 +1,4 @@
-"""The variance of a sum of forces by square blocks: forces of neighbours are alike, those of blocks are not (Eq. 8)."""
+"""The variance of a sum of forces by square blocks: forces of neighbours are alike, those of blocks are not (Eq. 9)."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a graph gets of a pair: the ground's pull and nothing of the start, Eq. 12 to 15 of docs/closures.md.
+"""What a graph gets of a pair: the ground's pull and nothing of the start, Eq. 13 to 16 of docs/closures.md.
 
 A factor's residual is A offset - c with unit variance. `offset` (M,) is where the source lies from the place at which
 its forces were taken: metres in the axes of the target of that time and, with yaw, radians about the source's centroid.
@@ -63,11 +63,11 @@ class Factor:
 
 
 def of(forces: Forces, numbers: covariance.Settings, settings: Settings) -> Factor:
-    """Return the factor of forces along normals (Eq. 12 to 14).
+    """Return the factor of forces along normals (Eq. 13 to 15).
 
     It has rank 0 where matches lie in M or fewer blocks. Take the forces at the last place, without `in_plane`.
     """
-    lever, shares, root, inverse, u = _components(forces)
+    lever, shares, root, inverse, u = _components(forces, covariance.ground(forces, numbers))
     ground = (shares > settings.least_share) & (forces.blocks > forces.dimensions)
     Y, F = shares[ground, None] * (u.T @ root)[ground], (u.T @ inverse)[ground]
     S = forces.variance + LEAST_VARIANCE_M2 * np.eye(forces.dimensions)
@@ -86,7 +86,7 @@ def place(factor: Factor, prior: np.ndarray, start: np.ndarray) -> tuple[np.ndar
 
 
 def chi2(factor: Factor, offset: np.ndarray, variance: np.ndarray) -> float:
-    """Return how far a graph's prediction is off: r^T (I + A M A^T)^-1 r, Eq. 15; 0 where the ground says nothing.
+    """Return how far a graph's prediction is off: r^T (I + A M A^T)^-1 r, Eq. 16; 0 where the ground says nothing.
 
     `offset` (M,) is the predicted one, and M = `variance` (M, M) of a graph without this very closure.
     """
@@ -105,12 +105,12 @@ def passes_prediction(factor: Factor, offset: np.ndarray, variance: np.ndarray, 
     return bool(chi2(factor, offset, settings.drift_factor**2 * variance) <= limit)
 
 
-def _components(forces: Forces) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _components(forces: Forces, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     # levers, shares r, H^1/2, H^-1/2, and U of H^-1/2 X H^-1/2 = U diag(r) U^T; a component without stiffness has r = 0
     w, v = np.linalg.eigh(forces.stiffness)
     held = w > _LEAST_STIFFNESS * forces.scale
     roots = np.sqrt(np.where(held, w, 0.0))
     root = (v * roots) @ v.T
     inverse = (v * np.divide(1.0, roots, out=np.zeros_like(roots), where=held)) @ v.T
-    shares, u = np.linalg.eigh(inverse @ forces.ground @ inverse)
+    shares, u = np.linalg.eigh(inverse @ X @ inverse)
     return levers(forces.lever_m, forces.dimensions), shares, root, inverse, u

@@ -42,6 +42,7 @@ class Forces:
     total: np.ndarray  # f (M,) metres: the sum of M_n d, in which I / 2 in the plane is 1/2
     stiffness: np.ndarray  # H (M, M): of the ground, and of what noise makes of the normals
     ground: np.ndarray  # X (M, M), symmetric: of the ground alone
+    chance: np.ndarray  # (M, M): what X has too much, because normals that agree by chance weigh more (Eq. 8)
     variance: np.ndarray  # S (M, M) m^2, of f
     residual_variance: float  # s^2, m^2
     matched: int  # points
@@ -66,7 +67,7 @@ def at(
     """Return the forces after a motion, about the target's centre, as any registration has found it.
 
     With `in_plane` they hold d / 2 as well, which acts along the seabed: at an end that GICP has found its noise is
-    noise of the end. `block_m` is the edge of the blocks of Eq. 8.
+    noise of the end. `block_m` is the edge of the blocks of Eq. 9.
 
     Raises:
         PairError: blocks are so small that most hold no point.
@@ -84,13 +85,13 @@ def as_source(source: Source, target: gicp.Cloud, start: SE2) -> Any:
     return gicp.Part(source.points, source.normals).as_source(target, np.array([*move, 0.0]))
 
 
-def from_kernel(sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], dimensions: int, block_m: float) -> Forces:
+def from_kernel(sums: tuple[np.ndarray, ...], dimensions: int, block_m: float) -> Forces:
     """Return the Forces of the sums that the kernel `total` returns.
 
     Raises:
         PairError: blocks are so small that most hold no point.
     """
-    stiffness, ground, variance, (f_x, f_y, f_yaw, square, matched, count, lever, scale) = sums
+    stiffness, ground, tilts, variance, (f_x, f_y, f_yaw, square, matched, count, lever, scale) = sums
     if count < 0:
         raise PairError(
             f"blocks of {block_m:g} m are too small for the cloud: most hold no point; raise block_spacings"
@@ -100,6 +101,7 @@ def from_kernel(sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], dim
         total=np.array([f_x, f_y, f_yaw])[:m],
         stiffness=(np.triu(stiffness) + np.triu(stiffness, 1).T)[:m, :m],
         ground=(ground + ground.T)[:m, :m] / 2,
+        chance=(scale / max(matched, 1) * tilts[0] - tilts[1])[:m, :m],
         variance=variance[:m, :m],
         residual_variance=square / max(matched - m, 1),
         matched=int(matched),
@@ -115,6 +117,7 @@ class _Sums(NamedTuple):
     forces: np.ndarray  # (n, 3)
     H: np.ndarray  # (3, 3), its upper triangle
     X: np.ndarray  # (3, 3), not symmetric
+    tilts: np.ndarray  # (2, 3, 3)
 
 
 @compilation.kernel
@@ -126,13 +129,16 @@ def _at(source, target, yaw, block, limits, in_plane):  # type: ignore[no-untype
 
 @compilation.kernel
 def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-untyped-def]
-    """Return H (its upper triangle), X (not symmetric) and S, (3, 3) each, of a Cloud's matches at a place.
+    """Return H (its upper triangle), X (not symmetric), the tilts and S of a Cloud's matches at a place, (3, 3) each.
 
-    With them eight numbers: f_x, f_y, f_yaw, the sum of d^T M_n d, matched points, blocks, the lever in metres, and the
-    sum of tr M_n.
+    The tilts (2, 3, 3) are sums of t t^T and of k t t^T with t = A^T (a - b) / 2. With them eight
+    numbers: f_x, f_y, f_yaw, the sum of d^T M_n d, matched points, blocks, the lever in metres, the sum of tr M_n.
     """
     n, matched = len(cloud.copy.x), 0
-    sums, numbers = _Sums(np.empty(n), np.empty(n), np.empty((n, 3)), np.zeros((3, 3)), np.zeros((3, 3))), np.zeros(8)
+    sums, numbers = (
+        _Sums(np.empty(n), np.empty(n), np.empty((n, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((2, 3, 3))),
+        np.zeros(8),
+    )
     place = math.cos(motion.yaw), math.sin(motion.yaw), motion.x, motion.y, 1 / cloud.lever
     for i in range(n):
         if cloud.copy.matches[i] >= 0:
@@ -144,7 +150,7 @@ def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-u
         numbers[axis] = sums.forces[:matched, axis].sum()
     S, count = blocks.variance(sums.x[:matched], sums.y[:matched], sums.forces[:matched], block)
     numbers[4], numbers[5], numbers[6] = matched, count, cloud.lever
-    return sums.H, sums.X, S, numbers
+    return sums.H, sums.X, sums.tilts, S, numbers
 
 
 @compilation.device
@@ -174,12 +180,22 @@ def _add(i, row, cloud, target, place, epsilon, in_plane, sums):  # type: ignore
     for one, other, value in ((0, 0, xx), (0, 1, xy), (1, 1, yy), (0, 2, x_yaw), (1, 2, y_yaw)):
         sums.H[one, other] += value
     sums.H[2, 2] += jx * x_yaw + jy * y_yaw
-    # Eq. 7; a normal may have either sign, and a match's two have one
     c = ax * bx + ay * by + az * target.normals[j + _u64(2)]
     same, cross = along_normals.factors(c, epsilon)
     k = 2 * same + 2 * cross * c
-    signed = k if c >= 0 else -k
-    for one, alpha in ((0, ax), (1, ay), (2, jx * ax + jy * ay)):
-        for other, beta in ((0, bx), (1, by), (2, jx * bx + jy * by)):
-            sums.X[one, other] += signed * alpha * beta
+    sign = 1.0 if c >= 0 else -1.0  # a normal may have either sign, and a match's two have one
+    bx, by = sign * bx, sign * by
+    _add_ground((ax, ay, jx * ax + jy * ay), (bx, by, jx * bx + jy * by), k, sums)
     return square, k
+
+
+@compilation.device
+def _add_ground(alpha, beta, k, sums):  # type: ignore[no-untyped-def]
+    # adds a match's part to X (Eq. 7) and to the tilts (Eq. 8), of A^T a and A^T b
+    for row in range(3):
+        tilt = 0.5 * (alpha[row] - beta[row])
+        for column in range(3):
+            sums.X[row, column] += k * alpha[row] * beta[column]
+            square = tilt * 0.5 * (alpha[column] - beta[column])
+            sums.tilts[0, row, column] += square
+            sums.tilts[1, row, column] += k * square

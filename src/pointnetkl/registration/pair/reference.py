@@ -65,6 +65,14 @@ def matches(source: reference.Cloud, target: reference.Cloud, T: SE2, settings: 
     return Matches(arms[:, :2], target.points[match[near]] - moved[near], (a, b), weights, jacobian)
 
 
+def chance(matched: Matches) -> np.ndarray:
+    """Return what X (M, M) has too much because normals that agree by chance weigh more: Eq. 8."""
+    k = np.trace(matched.weights, axis1=1, axis2=2)
+    a, b = matched.normals
+    tilts = np.einsum("nki,nk->ni", matched.jacobian, a - b) / 2
+    return np.asarray(np.einsum("n,ni,nj->ij", k.mean() - k, tilts, tilts))
+
+
 def sums(matched: Matches, in_plane: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the forces (n, M), their sum f (M,), H (M, M) and X (M, M): Eq. 3, 4 and 7.
 
@@ -86,7 +94,7 @@ def residual_variance(matched: Matches) -> float:
 
 
 def force_variance(arms: np.ndarray, forces: np.ndarray, block_m: float) -> np.ndarray:
-    """Return S (M, M), the variance of the sum of forces (n, M) at arms (n, 2) in metres, by square blocks: Eq. 8."""
+    """Return S (M, M), the variance of the sum of forces (n, M) at arms (n, 2) in metres, by square blocks: Eq. 9."""
     S = np.zeros(2 * forces.shape[1:])
     for shift in GRIDS:
         cells = np.floor(arms / block_m + shift)
