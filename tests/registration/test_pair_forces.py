@@ -83,7 +83,9 @@ def test_forces_and_stiffness_turn_with_the_clouds(dof: str) -> None:
 
 def variance(xy: np.ndarray, forces: np.ndarray, block_m: float) -> np.ndarray:
     columns = np.ascontiguousarray(xy.T)
-    return np.asarray(blocks.variance(columns[0], columns[1], np.pad(forces, ((0, 0), (0, 1))), block_m)[0][:2, :2])
+    return np.asarray(
+        blocks.variance(columns[0], columns[1], np.pad(forces, ((0, 0), (0, 1))).T.copy(), block_m)[0][:2, :2]
+    )
 
 
 def test_independent_forces_have_the_variance_of_their_sum_of_squares() -> None:

@@ -12,7 +12,7 @@ _MOST_PER_POINT = 16  # cells: finer blocks hold no two neighbours, and would fi
 
 @kernel
 def variance(x, y, forces, block):  # type: ignore[no-untyped-def]
-    """Return S (3, 3) of forces (n, 3) at x and y (n,) in metres, and the fewest blocks of the four shifted grids.
+    """Return S (3, 3) of forces (3, n) at x and y (n,) in metres, and the fewest blocks of the four shifted grids.
 
     `block` is the edge in metres. Blocks so small that there are over four for every point: zeros, and -1.
     """
@@ -38,9 +38,9 @@ def _fill(x, y, forces, per_metre, first_x, first_y, cells):  # type: ignore[no-
     # the sums of the forces, and the number of points, of every cell of half a block
     for i in range(len(x)):
         column, row = _u64((x[i] - first_x) * per_metre), _u64((y[i] - first_y) * per_metre)
-        cells[column, row, 0] += forces[i, 0]
-        cells[column, row, 1] += forces[i, 1]
-        cells[column, row, 2] += forces[i, 2]
+        cells[column, row, 0] += forces[0, i]
+        cells[column, row, 1] += forces[1, i]
+        cells[column, row, 2] += forces[2, i]
         cells[column, row, 3] += 1
 
 

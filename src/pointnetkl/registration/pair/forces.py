@@ -3,9 +3,10 @@
 Equations are those of docs/closures.md; `pair.reference` has the same in plain NumPy.
 """
 
+import functools
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -78,11 +79,14 @@ def at(
     )
 
 
-def as_source(source: Source, target: gicp.Cloud, start: SE2) -> Any:
+def as_source(source: Source, target: gicp.Cloud, start: SE2) -> kernel.Source:
     """Return a source as the kernels take it, who turn it by start.yaw themselves."""
-    # they take a source that is moved first, and then turned; a part has no neighbours that would be copied
-    move = rotate(start.translation, -start.yaw)
-    return gicp.Part(source.points, source.normals).as_source(target, np.array([*move, 0.0]))
+    return kernel.Source(
+        np.ascontiguousarray(source.points, np.float64),
+        np.ascontiguousarray(source.normals, np.float32),
+        target.centre,
+        np.asarray(rotate(start.translation, -start.yaw), np.float64),  # they take a source that is moved, then turned
+    )
 
 
 def from_kernel(sums: tuple[np.ndarray, ...], dimensions: int, block_m: float) -> Forces:
@@ -99,7 +103,7 @@ def from_kernel(sums: tuple[np.ndarray, ...], dimensions: int, block_m: float) -
     m = dimensions
     return Forces(
         total=np.array([f_x, f_y, f_yaw])[:m],
-        stiffness=(np.triu(stiffness) + np.triu(stiffness, 1).T)[:m, :m],
+        stiffness=stiffness[:m, :m],
         ground=(ground + ground.T)[:m, :m] / 2,
         chance=(scale / max(matched, 1) * tilts[0] - tilts[1])[:m, :m],
         variance=variance[:m, :m],
@@ -111,13 +115,17 @@ def from_kernel(sums: tuple[np.ndarray, ...], dimensions: int, block_m: float) -
     )
 
 
-class _Sums(NamedTuple):
-    x: np.ndarray  # (n,) metres, from the source's centroid
-    y: np.ndarray
-    forces: np.ndarray  # (n, 3)
-    H: np.ndarray  # (3, 3), its upper triangle
-    X: np.ndarray  # (3, 3), not symmetric
-    tilts: np.ndarray  # (2, 3, 3)
+class _Matches(NamedTuple):
+    """The n matches of a cloud, in columns."""
+
+    arms: np.ndarray  # (2, n) metres, from the source's centroid
+    a: np.ndarray  # (3, n) A^T a, of the source's normals
+    b: np.ndarray  # (3, n) A^T b, of the target's
+    same: np.ndarray  # (n,) of M_n = same (a a^T + b b^T) + cross (a b^T + b a^T)
+    cross: np.ndarray  # (n,)
+    trace: np.ndarray  # (n,) k
+    forces: np.ndarray  # (3, n) A^T M_n d
+    square: np.ndarray  # (n,) d^T M_n d
 
 
 @compilation.kernel
@@ -129,33 +137,61 @@ def _at(source, target, yaw, block, limits, in_plane):  # type: ignore[no-untype
 
 @compilation.kernel
 def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-untyped-def]
-    """Return H (its upper triangle), X (not symmetric), the tilts and S of a Cloud's matches at a place, (3, 3) each.
+    """Return H, X (not symmetric), the tilts and S of a Cloud's matches at a place, (3, 3) each, and eight numbers.
 
-    The tilts (2, 3, 3) are sums of t t^T and of k t t^T with t = A^T (a - b) / 2. With them eight
-    numbers: f_x, f_y, f_yaw, the sum of d^T M_n d, matched points, blocks, the lever in metres, the sum of tr M_n.
+    The tilts (2, 3, 3) are sums of t t^T and of k t t^T with t = A^T (a - b) / 2. The numbers are f_x, f_y, f_yaw, the
+    sum of d^T M_n d, matched points, blocks, the lever in metres, and the sum of tr M_n.
     """
-    n, matched = len(cloud.copy.x), 0
-    sums, numbers = (
-        _Sums(np.empty(n), np.empty(n), np.empty((n, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((2, 3, 3))),
-        np.zeros(8),
+    m = _matches(cloud, target, motion, np.float64(epsilon), in_plane)
+    both, tilt, tilts = _moments(m.cross, m.a, m.b), 0.5 * (m.a - m.b), np.empty((2, 3, 3))
+    H = _moments(m.same, m.a, m.a) + _moments(m.same, m.b, m.b) + both + both.T
+    X = _moments(m.trace, m.a, m.b)
+    tilts[0], tilts[1] = _moments(np.ones(len(m.same)), tilt, tilt), _moments(m.trace, tilt, tilt)
+    S, count = blocks.variance(m.arms[0], m.arms[1], m.forces, block)
+    numbers = np.empty(8)
+    numbers[0], numbers[1], numbers[2] = m.forces[0].sum(), m.forces[1].sum(), m.forces[2].sum()
+    numbers[3], numbers[4], numbers[5] = m.square.sum(), len(m.square), count
+    numbers[6], numbers[7] = cloud.lever, m.trace.sum()
+    return H, X, tilts, S, numbers
+
+
+@functools.partial(compilation.kernel, reorder=True)
+def _moments(weights, left, right):  # type: ignore[no-untyped-def]
+    # the sums (3, 3) of weights (n,) times rows of left and right (3, n)
+    sums = np.empty((3, 3))
+    for row in range(3):
+        for column in range(3):
+            total = 0.0
+            for i in range(len(weights)):
+                total += weights[i] * left[row, i] * right[column, i]
+            sums[row, column] = total
+    return sums
+
+
+@compilation.kernel
+def _matches(cloud, target, motion, epsilon, in_plane):  # type: ignore[no-untyped-def]
+    n = (cloud.copy.matches >= 0).sum()
+    rows = _Matches(
+        np.empty((2, n)),
+        np.empty((3, n)),
+        np.empty((3, n)),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty((3, n)),
+        np.empty(n),
     )
-    place = math.cos(motion.yaw), math.sin(motion.yaw), motion.x, motion.y, 1 / cloud.lever
-    for i in range(n):
+    place, row = (math.cos(motion.yaw), math.sin(motion.yaw), motion.x, motion.y, 1 / cloud.lever), _u64(0)
+    for i in range(len(cloud.copy.x)):
         if cloud.copy.matches[i] >= 0:
-            square, k = _add(_u64(i), matched, cloud, target, place, np.float64(epsilon), in_plane, sums)
-            numbers[3] += square
-            numbers[7] += k
-            matched += 1
-    for axis in range(3):
-        numbers[axis] = sums.forces[:matched, axis].sum()
-    S, count = blocks.variance(sums.x[:matched], sums.y[:matched], sums.forces[:matched], block)
-    numbers[4], numbers[5], numbers[6] = matched, count, cloud.lever
-    return sums.H, sums.X, sums.tilts, S, numbers
+            _fill(_u64(i), row, cloud, target, place, epsilon, in_plane, rows)
+            row += _u64(1)
+    return rows
 
 
 @compilation.device
-def _add(i, row, cloud, target, place, epsilon, in_plane, sums):  # type: ignore[no-untyped-def]
-    # fills a row of arms and forces with a point's, adds its part to H and X; returns its d^T M_n d and tr M_n
+def _fill(i, row, cloud, target, place, epsilon, in_plane, rows):  # type: ignore[no-untyped-def]
+    # fills a row of matches with that of point i
     copy, j, n, (cosine, sine, tx, ty, per_lever) = (
         cloud.copy,
         _u64(3) * _u64(cloud.copy.matches[i]),
@@ -164,38 +200,26 @@ def _add(i, row, cloud, target, place, epsilon, in_plane, sums):  # type: ignore
     )
     px, py = copy.x[i] - cloud.x, copy.y[i] - cloud.y
     rx, ry = cosine * px - sine * py, sine * px + cosine * py
-    qx = rx + cosine * cloud.x - sine * cloud.y + tx
-    qy = ry + sine * cloud.x + cosine * cloud.y + ty
-    qz, az = np.float64(copy.z[i]), np.float64(copy.normals[n + _u64(2)])
+    dx = target.points[j] - (rx + cosine * cloud.x - sine * cloud.y + tx)
+    dy = target.points[j + _u64(1)] - (ry + sine * cloud.x + cosine * cloud.y + ty)
+    dz = np.float64(target.points[j + _u64(2)]) - copy.z[i]
     ax = cosine * copy.normals[n] - sine * copy.normals[n + _u64(1)]
     ay = sine * copy.normals[n] + cosine * copy.normals[n + _u64(1)]
-    bx, by = np.float64(target.normals[j]), np.float64(target.normals[j + _u64(1)])
-    xx, xy, yy, fx, fy, square = along_normals.weigh(qx, qy, qz, ax, ay, az, target.points, target.normals, j, epsilon)
-    if in_plane:
-        fx, fy = fx + 0.5 * (target.points[j] - qx), fy + 0.5 * (target.points[j + _u64(1)] - qy)
-    jx, jy = -ry * per_lever, rx * per_lever  # the column of yaw in the Jacobian, Eq. 3
-    sums.x[row], sums.y[row] = rx, ry
-    sums.forces[row, 0], sums.forces[row, 1], sums.forces[row, 2] = fx, fy, jx * fx + jy * fy
-    x_yaw, y_yaw = xx * jx + xy * jy, xy * jx + yy * jy
-    for one, other, value in ((0, 0, xx), (0, 1, xy), (1, 1, yy), (0, 2, x_yaw), (1, 2, y_yaw)):
-        sums.H[one, other] += value
-    sums.H[2, 2] += jx * x_yaw + jy * y_yaw
-    c = ax * bx + ay * by + az * target.normals[j + _u64(2)]
-    same, cross = along_normals.factors(c, epsilon)
-    k = 2 * same + 2 * cross * c
+    az = np.float64(copy.normals[n + _u64(2)])
+    bx, by, bz = target.normals[j], target.normals[j + _u64(1)], target.normals[j + _u64(2)]
+    c = ax * bx + ay * by + az * bz
     sign = 1.0 if c >= 0 else -1.0  # a normal may have either sign, and a match's two have one
-    bx, by = sign * bx, sign * by
-    _add_ground((ax, ay, jx * ax + jy * ay), (bx, by, jx * bx + jy * by), k, sums)
-    return square, k
-
-
-@compilation.device
-def _add_ground(alpha, beta, k, sums):  # type: ignore[no-untyped-def]
-    # adds a match's part to X (Eq. 7) and to the tilts (Eq. 8), of A^T a and A^T b
-    for row in range(3):
-        tilt = 0.5 * (alpha[row] - beta[row])
-        for column in range(3):
-            sums.X[row, column] += k * alpha[row] * beta[column]
-            square = tilt * 0.5 * (alpha[column] - beta[column])
-            sums.tilts[0, row, column] += square
-            sums.tilts[1, row, column] += k * square
+    bx, by, bz, c = sign * bx, sign * by, sign * bz, sign * c
+    same, cross = along_normals.factors(c, epsilon)
+    along_a, along_b = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
+    u, v = same * along_a + cross * along_b, cross * along_a + same * along_b
+    fx, fy = ax * u + bx * v, ay * u + by * v
+    if in_plane:
+        fx, fy = fx + 0.5 * dx, fy + 0.5 * dy
+    jx, jy = -ry * per_lever, rx * per_lever  # the column of yaw in the Jacobian, Eq. 3
+    rows.arms[0, row], rows.arms[1, row] = rx, ry
+    rows.a[0, row], rows.a[1, row], rows.a[2, row] = ax, ay, jx * ax + jy * ay
+    rows.b[0, row], rows.b[1, row], rows.b[2, row] = bx, by, jx * bx + jy * by
+    rows.forces[0, row], rows.forces[1, row], rows.forces[2, row] = fx, fy, jx * fx + jy * fy
+    rows.same[row], rows.cross[row], rows.trace[row] = same, cross, 2 * same + 2 * cross * c
+    rows.square[row] = along_a * u + along_b * v

@@ -40,13 +40,25 @@ class Cloud(NamedTuple):
     lever: float  # metres, see reference.lever_m
 
 
+class Source(NamedTuple):
+    """A cloud to be moved; the kernel takes it to the target's axes."""
+
+    points: np.ndarray  # (n, 3) float64 metres
+    normals: np.ndarray  # (n, 3) float32, unit
+    centre: np.ndarray  # (3,) float64 metres: the target's, where its axes begin
+    move: np.ndarray  # (2,) float64 metres, added before it is turned
+
+
 @kernel
 def load(source):  # type: ignore[no-untyped-def]
-    """Return a gicp.kernel.Source as a Cloud without matches."""
-    n = source.points.shape[1]
+    """Return a Source as a Cloud without matches."""
+    n = len(source.points)
     copy = gicp.allocate(n)
-    copy.x[:], copy.y[:], copy.z[:] = source.points[0], source.points[1], source.points[2]
-    copy.normals[: 3 * n] = source.normals[: 3 * n]
+    for i in range(n):
+        copy.x[i] = source.points[i, 0] - source.centre[0] + source.move[0]
+        copy.y[i] = source.points[i, 1] - source.centre[1] + source.move[1]
+        copy.z[i] = source.points[i, 2] - source.centre[2]
+    copy.normals[: 3 * n] = source.normals.reshape(-1)
     copy.matches[:], copy.deadlines[:] = -1, -1
     x, y, squares = 0.0, 0.0, 0.0
     for i in range(n):
