@@ -39,6 +39,14 @@ def test_the_race_with_small_gicp_ends_in_its_numbers() -> None:
     assert numbers["versions"]["small_gicp"]
 
 
+def test_a_loop_closure_by_map_ends_in_its_numbers() -> None:
+    numbers = last_line("pair", "--runs", "3", "--repetitions", "2", "--terrain", "rugged")
+    for name in ("gicp_ms", "map_ms", "pair_ms", "ratio", "covariance_ms", "factor_ms", "pair_yaw_ms", "ratio_largest"):
+        assert numbers[name] > 0
+    assert [row["submap"] for row in numbers["submaps"]] == ["borno_8 rugged", "thwaites_11 rugged"]
+    assert all(0 <= row["rank"] <= 2 and row["map_rms_m"] > 0 for row in numbers["submaps"])
+
+
 @pytest.mark.parametrize("copy", ["same", "split"])
 def test_the_kernel_has_the_references_answer_on_simulated_ground(copy: str) -> None:
     options = ("--submaps", "4", "--runs", "10", "--production-runs", "12", "--copy", copy)
@@ -59,6 +67,7 @@ def test_the_gain_of_a_second_worker_ends_in_its_numbers() -> None:
     ("script", "options", "why"),
     [
         ("gicp", ("--repetitions", "0"), "--repetitions 0"),
+        ("pair", ("--runs", "0"), "--runs is 0"),
         ("agreement", ("--submaps", "1"), "--submaps is 1"),
         ("scaling", ("--workers", "1"), "--workers"),
         ("agreement", ("--params", "nowhere.yaml"), "nowhere.yaml"),
