@@ -42,7 +42,7 @@ def clouds(kind: str, number: int = 0, noise_m: float = NOISE_M) -> tuple[gicp.C
     return source, target
 
 
-def plain(source: gicp.Cloud, target: gicp.Cloud) -> tuple[reference.Cloud, reference.Cloud]:
+def plain(source: gicp.Cloud | gicp.Part, target: gicp.Cloud) -> tuple[reference.Cloud, reference.Cloud]:
     """Return two clouds as the references take them, about the target's centre."""
     first, second = (
         reference.Cloud(cloud.points - target.centre, cloud.normals.astype(np.float64)) for cloud in (source, target)

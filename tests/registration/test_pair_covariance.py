@@ -176,16 +176,16 @@ def test_what_blocks_miss_divides_the_information() -> None:
     assert 2 * covariance.information(each, double) == pytest.approx(covariance.information(each, NUMBERS))
 
 
-def test_pairs_where_they_lie_have_the_errors_that_q_says() -> None:
-    nees = []
+@pytest.mark.parametrize("dof", DOFS)
+def test_pairs_where_they_lie_have_the_errors_that_q_says(dof: str) -> None:
+    nees, m = [], SETTINGS[dof].dimensions
     for number in range(12):
-        source, target = pairs.clouds("mild", number)
-        start = SE2(np.random.default_rng(number).normal(0, 3, 2), 0.0)
-        end = pair.register(source, target, prior("xy"), SPACING_M, SETTINGS["xy"], start)
+        draw = np.pad(np.random.default_rng(number).normal(0, np.sqrt(np.diag(prior(dof)))), (0, 3 - m))
+        end = pair.register(*pairs.clouds("hills", number), prior(dof), SPACING_M, SETTINGS[dof], SE2.from_vector(draw))
         K = covariance.information(end.forces, NUMBERS)
-        Q = covariance.with_prior(K, prior("xy"), end.forces.lever_m, NUMBERS)
-        error = end.T_target_source.translation
-        nees.append(error @ np.linalg.solve(Q, error) / 2)
+        Q = covariance.with_prior(K, prior(dof), end.forces.lever_m, NUMBERS)
+        error = end.T_target_source.to_vector()[:m]  # the clouds' centroids lie together
+        nees.append(error @ np.linalg.solve(Q, error) / m)
     assert 0.1 < np.mean(nees) < 1.5
 
 

@@ -35,6 +35,18 @@ def test_forces_and_stiffness_are_those_of_the_reference(kind: str, dof: str, in
     assert ours.lever_m == pytest.approx(reference.lever_m(source.points))
 
 
+def test_yaw_is_about_the_centroid_of_a_source_far_from_the_target_s_centre() -> None:
+    source, target = pairs.clouds("rugged")
+    east = gicp.part(source, source.points[:, 0] > 20, pairs.GICP)
+    ours = pair.at(east, target, PLACE["xyyaw"], BLOCK_M, SETTINGS["xyyaw"])
+    matched = reference.matches(*pairs.plain(east, target), PLACE["xyyaw"], SETTINGS["xyyaw"])
+    _, total, stiffness, ground = reference.sums(matched)
+    assert ours.total == pytest.approx(total, rel=1e-3, abs=1e-3 * np.abs(total).max())
+    assert ours.stiffness == pytest.approx(stiffness, abs=1e-4 * stiffness.max())
+    assert ours.ground == pytest.approx(ground, abs=1e-4 * ground.max())
+    assert ours.lever_m < 0.8 * reference.lever_m(source.points)
+
+
 @pytest.mark.parametrize("dof", DOFS)
 @pytest.mark.parametrize("steps", [2, 15])
 def test_the_forces_of_a_registration_are_those_at_its_last_place(steps: int, dof: str) -> None:

@@ -1,6 +1,7 @@
 """MAP registration: against the plain reference, and what must hold of a most probable place."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ KINDS = ("flat", "gentle", "mild", "rugged", "ridge")
 START = SE2(np.array([1.5, -2.0]), 0.0)
 
 
-def register(source: gicp.Cloud, target: gicp.Cloud, dof: str, start: SE2 = START) -> pair.Estimate:
+def register(source: gicp.Cloud | gicp.Part, target: gicp.Cloud, dof: str, start: SE2 = START) -> pair.Estimate:
     return pair.register(source, target, prior(dof), SPACING_M, SETTINGS[dof], start)
 
 
@@ -31,9 +32,21 @@ def test_the_place_is_that_of_the_reference(kind: str, dof: str) -> None:
     assert np.median(differences) < 1e-4
 
 
-def difference_to_reference(kind: str, number: int, dof: str) -> float:
+@pytest.mark.parametrize("dof", DOFS)
+def test_a_source_far_from_the_target_s_centre_turns_about_its_own(dof: str) -> None:
+    def east(source: gicp.Cloud) -> gicp.Part:
+        return gicp.part(source, source.points[:, 0] > 20, pairs.GICP)
+
+    differences = [difference_to_reference("rugged", number, dof, east) for number in range(5)]
+    assert np.median(differences) < 1e-4
+
+
+def difference_to_reference(
+    kind: str, number: int, dof: str, part: Callable[[gicp.Cloud], gicp.Part | gicp.Cloud] = lambda source: source
+) -> float:
     """Return by how much the kernel and the reference differ in x, y in metres or yaw in radians."""
     source, target = pairs.clouds(kind, number)
+    source = part(source)
     start = dataclasses.replace(START, yaw=0.02 if dof == "xyyaw" else 0.0)
     moving, still = pairs.plain(source, target)
     moved = moving._replace(points=start.act(moving.points), normals=moving.normals @ start.to_matrix()[:3, :3].T)
@@ -119,6 +132,19 @@ def test_a_tighter_prior_keeps_it_nearer_to_the_start_where_ground_is_weak() -> 
     assert distances == sorted(distances)
 
 
+def test_a_step_below_a_small_share_of_a_sigma_ends_the_search() -> None:
+    clouds = pairs.clouds("gentle")
+    steps, places = [], []
+    for tolerance in (0.0, 0.03, 0.3):
+        settings = dataclasses.replace(SETTINGS["xy"], tolerance_sigmas=tolerance, map_steps=50)
+        end = pair.register(*clouds, prior("xy"), SPACING_M, settings, START)
+        steps.append(end.iterations)
+        places.append(end.T_target_source.translation)
+    assert steps == sorted(steps, reverse=True)
+    assert steps[0] > steps[2]
+    assert places[1] == pytest.approx(places[0], abs=0.05)
+
+
 def test_a_cloud_without_matches_stays_where_it_is_and_tells_nothing() -> None:
     source, target = pairs.clouds("rugged")
     far = SE2(np.array([1000.0, 0.0]), 0.0)
@@ -150,7 +176,14 @@ def test_a_start_with_a_yaw_needs_the_dof_that_finds_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("method", "icp"), ("map_steps", 0), ("residuals_as_one", 0.0), ("longest_step_spacings", -1.0)]
+    ("name", "value"),
+    [
+        ("method", "icp"),
+        ("map_steps", 0),
+        ("residuals_as_one", 0.0),
+        ("longest_step_spacings", -1.0),
+        ("tolerance_sigmas", -1.0),
+    ],
 )
 def test_settings_out_of_range_are_refused(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):

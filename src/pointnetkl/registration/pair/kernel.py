@@ -28,6 +28,7 @@ class Search(NamedTuple):
     precision: np.ndarray  # (3, 3) 1/m^2, 1/rad^2 of the start of x, y and yaw; without yaw any in its place
     residuals_as_one: float
     longest_step: float  # metres
+    tolerance_sigmas: float  # of a step, in sigmas of the place
     least_matches: int
 
 
@@ -75,7 +76,7 @@ def find(cloud, target, start_yaw, limits, search):  # type: ignore[no-untyped-d
     """Search the most probable place of a Cloud that starts turned by a yaw in radians about the target's origin.
 
     Returns the gicp.kernel.Motion from the start, which has matches at the step before it; steps; whether the last was
-    below the tolerance. With fewer matches than search.least_matches the motion so far, not converged.
+    below a tolerance. With fewer matches than search.least_matches the motion so far, not converged.
     """
     copy, terms, sums = cloud.copy, np.zeros(_TERMS * len(cloud.copy.x), np.float32), np.zeros(_SUMS)
     motion, x, y = gicp.Motion(0.0, 0.0, start_yaw, 0.0, 0.0), 0.0, 0.0
@@ -89,13 +90,15 @@ def find(cloud, target, start_yaw, limits, search):  # type: ignore[no-untyped-d
             break
         at_place = _sums_at(cloud, target, motion, sums, limits)
         offset = x, y, cloud.lever * (motion.yaw - start_yaw)
-        step_x, step_y, step_yaw = _step(at_place, offset, matched, limits.with_yaw, precision, search.residuals_as_one)
+        (step_x, step_y, step_yaw), square = _step(
+            at_place, offset, matched, limits.with_yaw, precision, search.residuals_as_one
+        )
         step = max(math.hypot(step_x, step_y), abs(step_yaw))
         share = min(1.0, search.longest_step / max(step, 1e-12))
         x, y = x + share * step_x, y + share * step_y
         motion = _move(motion, cloud, x, y, share * step_yaw / cloud.lever, start_yaw)
         steps += 1
-        converged = step < limits.tolerance
+        converged = step < limits.tolerance or square < search.tolerance_sigmas**2
     return motion, steps, converged
 
 
@@ -161,23 +164,18 @@ def _sums_at(cloud, target, motion, sums, limits):  # type: ignore[no-untyped-de
 
 @device
 def _step(sums, offset, matched, with_yaw, P, residuals_as_one):  # type: ignore[no-untyped-def]
-    # Eq. 5: (H / (c s^2) + P^-1) step = f / (c s^2) - P^-1 offset; without yaw the last row says that yaw stays
+    # Eq. 5: (H / (c s^2) + P^-1) step = f / (c s^2) - P^-1 offset; without yaw the last row says that yaw stays.
+    # Returns the step and its square in units of the variance that the left side says
     x, y, yaw = offset
     variance = max(sums[9] / max(matched - (3 if with_yaw else 2), 1), _LEAST_VARIANCE_M2)
     weight = 1 / (residuals_as_one * variance)
-    return yaw_step.solve(
-        (
-            weight * sums[0] + P[0, 0],
-            weight * sums[1] + P[0, 1],
-            weight * sums[2] + P[1, 1],
-            weight * sums[3] - (P[0, 0] * x + P[0, 1] * y + P[0, 2] * yaw),
-            weight * sums[4] - (P[0, 1] * x + P[1, 1] * y + P[1, 2] * yaw),
-            weight * sums[5] + P[0, 2],
-            weight * sums[6] + P[1, 2],
-            weight * sums[7] + P[2, 2],
-            weight * sums[8] - (P[0, 2] * x + P[1, 2] * y + P[2, 2] * yaw),
-        )
-    )
+    gradient_x = weight * sums[3] - (P[0, 0] * x + P[0, 1] * y + P[0, 2] * yaw)
+    gradient_y = weight * sums[4] - (P[0, 1] * x + P[1, 1] * y + P[1, 2] * yaw)
+    gradient_yaw = weight * sums[8] - (P[0, 2] * x + P[1, 2] * y + P[2, 2] * yaw)
+    xx, xy, yy = weight * sums[0] + P[0, 0], weight * sums[1] + P[0, 1], weight * sums[2] + P[1, 1]
+    x_yaw, y_yaw, yaw_yaw = weight * sums[5] + P[0, 2], weight * sums[6] + P[1, 2], weight * sums[7] + P[2, 2]
+    step = yaw_step.solve((xx, xy, yy, gradient_x, gradient_y, x_yaw, y_yaw, yaw_yaw, gradient_yaw))
+    return step, step[0] * gradient_x + step[1] * gradient_y + step[2] * gradient_yaw
 
 
 @device

@@ -42,10 +42,11 @@ def register(
         matched = matches(source, target, _motion(source, place, lever), settings)
         _, total, stiffness, _ = sums(matched)
         weight = 1 / (settings.residuals_as_one * max(residual_variance(matched), 1e-12))
-        step = np.linalg.solve(weight * stiffness + precision, weight * total - precision @ place)
+        gradient = weight * total - precision @ place
+        step = np.linalg.solve(weight * stiffness + precision, gradient)
         size = max(np.linalg.norm(step[:2]), *np.abs(step[2:]), 1e-12)
         place += step * min(1, settings.longest_step_spacings * spacing_m / size)
-        if size < settings.tolerance_m:
+        if size < settings.tolerance_m or step @ gradient < settings.tolerance_sigmas**2:
             break
     return _motion(source, place, lever)
 

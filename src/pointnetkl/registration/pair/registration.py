@@ -81,6 +81,7 @@ def _search(prior: np.ndarray, spacing_m: float, settings: Settings) -> kernel.S
         precision=_precision(prior, settings.dimensions),
         residuals_as_one=settings.residuals_as_one,
         longest_step=settings.longest_step_spacings * spacing_m,
+        tolerance_sigmas=settings.tolerance_sigmas,
         least_matches=settings.neighbours,
     )
 

@@ -27,6 +27,9 @@ class Settings(gicp.Settings):
     map_steps: int = 15  # at most; on flat ground more change an rms error of 0.51 m to 0.49 m
     residuals_as_one: float = 8.0  # neighbours' residuals are alike: so many count as one while the place is searched
     longest_step_spacings: float = 2.0  # of the search, in point spacings
+    # converged, too, when a step is shorter than so many sigmas of the place, as the search sees them; 0: never. 0.03
+    # halves the steps on flat ground and adds 1 % to an rms error of 0.4 m
+    tolerance_sigmas: float = 0.03
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -34,3 +37,5 @@ class Settings(gicp.Settings):
         if self.method not in METHODS:
             raise ValueError(f"method is {self.method!r}, must be {METHODS[0]} or {METHODS[1]}")
         require_positive(self, "map_steps", "residuals_as_one", "longest_step_spacings")
+        if self.tolerance_sigmas < 0:
+            raise ValueError(f"tolerance_sigmas is {self.tolerance_sigmas:g}, must be 0 or above")
