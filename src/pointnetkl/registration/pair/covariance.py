@@ -29,7 +29,9 @@ class Settings:
     drift_m2: float = 1e-3  # b: of a submap's own shape, by drift inside it, squared
     block_spacings: float = 8.0  # edge of the blocks that the variance of forces is taken by
     largest_m2: float = 1e4  # of V, where the ground holds nothing
-    without_chance: bool = False  # take from X what it has too much where normals are noisy (Eq. 8)
+    without_chance: bool = (
+        True  # X less what it has too much where normals are noisy (Eq. 8); nothing at 3 m of spacing
+    )
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
