@@ -13,6 +13,7 @@ from pointnetkl.labels import shards
 from pointnetkl.registration import gicp, pair
 from pointnetkl.registration.pair import reference
 from pointnetkl.surveys.se2 import SE2
+from pointnetkl.workflow import parameters
 
 DOFS = ("xy", "xyyaw")
 KINDS = ("flat", "gentle", "mild", "rugged", "ridge")
@@ -61,6 +62,13 @@ def test_the_default_method_is_gicp_and_its_answer_has_the_same_bytes() -> None:
     plain = gicp.register(source, target, pairs.GICP, START)
     assert ours.T_target_source.to_vector().tobytes() == plain.T_target_source.to_vector().tobytes()
     assert (ours.converged, ours.iterations) == (plain.converged, plain.iterations)
+
+
+def test_the_parameters_of_registration_are_those_of_a_pair_and_gicp_s_own_are_unchanged() -> None:
+    params = Path(__file__).parents[2] / "params.yaml"
+    settings = parameters.read(params, "registration", pair.Settings)
+    assert settings.method == "gicp"
+    assert settings.as_gicp == parameters.read(params, "registration", gicp.Settings)
 
 
 def test_no_label_hangs_on_the_code_of_pairs() -> None:

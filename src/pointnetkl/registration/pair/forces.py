@@ -17,7 +17,7 @@ from pointnetkl.registration.pair import along_normals, blocks, compilation, ker
 from pointnetkl.registration.pair.settings import PairError
 from pointnetkl.surveys.se2 import SE2, rotate
 
-_f32, _u64 = np.float32, np.uint64
+_u64 = np.uint64
 
 
 class Source(Protocol):

@@ -1,6 +1,6 @@
 """How a pair is registered: by GICP, as the paper does, or to the most probable place (MAP)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from pointnetkl.registration import gicp
 from pointnetkl.workflow.errors import PointNetKLError
@@ -17,7 +17,7 @@ class PairError(PointNetKLError):
 class Settings(gicp.Settings):
     """Section `registration` of the parameters, with the method of registration.
 
-    They are settings of GICP too: labels, which know GICP alone, take them as they are.
+    They are settings of GICP too. Labels take `as_gicp`: the name of a shard hangs on every field.
 
     Raises:
         ValueError: a setting is out of its range.
@@ -30,6 +30,11 @@ class Settings(gicp.Settings):
     # converged, too, when a step is shorter than so many sigmas of the place, as the search sees them; 0: never. 0.03
     # halves the steps on flat ground and adds 1 % to an rms error of 0.4 m
     tolerance_sigmas: float = 0.03
+
+    @property
+    def as_gicp(self) -> gicp.Settings:
+        """Return the fields that are GICP's own."""
+        return gicp.Settings(**{field.name: getattr(self, field.name) for field in fields(gicp.Settings)})
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
