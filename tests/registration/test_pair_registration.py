@@ -11,7 +11,7 @@ import pairs
 from pairs import SETTINGS, SPACING_M, prior
 from pointnetkl.labels import shards
 from pointnetkl.registration import gicp, pair
-from pointnetkl.registration.pair import reference
+from pointnetkl.registration.pair import compilation, reference
 from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow import parameters
 
@@ -69,6 +69,17 @@ def test_the_parameters_of_registration_are_those_of_a_pair_and_gicp_s_own_are_u
     settings = parameters.read(params, "registration", pair.Settings)
     assert settings.method == "gicp"
     assert settings.as_gicp == parameters.read(params, "registration", gicp.Settings)
+
+
+def test_kernels_are_compiled_again_when_any_file_of_theirs_or_of_gicp_s_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert {folder.name for folder in compilation._FOLDERS} == {"pair", "gicp"}
+    monkeypatch.setattr(compilation, "_FOLDERS", (tmp_path,))
+    (tmp_path / "a.py").write_text("one")
+    before = compilation._sources()
+    (tmp_path / "a.py").write_text("two")
+    assert compilation._sources() != before
 
 
 def test_no_label_hangs_on_the_code_of_pairs() -> None:
