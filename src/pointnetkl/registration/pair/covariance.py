@@ -25,7 +25,7 @@ class Settings:
         ValueError: a setting is out of its range.
     """
 
-    inflation: float = 2.0  # a: of the variance of forces, what blocks miss; 1.7 to 3.0 in every fit
+    inflation: float = 2.0  # a, of the variance of forces; 1.7 to 3.0 in every fit to simulated surveys
     drift_m2: float = 1e-3  # b: of a submap's own shape, by drift inside it, squared
     block_spacings: float = 8.0  # edge of the blocks that the variance of forces is taken by
     largest_m2: float = 1e4  # of V, where the ground holds nothing

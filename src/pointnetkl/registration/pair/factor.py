@@ -86,9 +86,9 @@ def place(factor: Factor, prior: np.ndarray, start: np.ndarray) -> tuple[np.ndar
 
 
 def chi2(factor: Factor, offset: np.ndarray, variance: np.ndarray) -> float:
-    """Return how far a graph's prediction is off: r^T (I + A M A^T)^-1 r, Eq. 16; 0 where the ground says nothing.
+    """Return how far a graph's prediction is off: r^T (I + A Sigma A^T)^-1 r, Eq. 16; 0 where the ground says nothing.
 
-    `offset` (M,) is the predicted one, and M = `variance` (M, M) of a graph without this very closure.
+    `offset` (M,) is the predicted one, and Sigma = `variance` (M, M) that of a graph without this very closure.
     """
     r = factor.residual(offset)
     return float(r @ np.linalg.solve(np.eye(len(r)) + factor.A @ variance @ factor.A.T, r))
