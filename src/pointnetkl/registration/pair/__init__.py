@@ -4,6 +4,6 @@ from pointnetkl.registration.pair import covariance, factor
 from pointnetkl.registration.pair.factor import Factor
 from pointnetkl.registration.pair.forces import Forces, at
 from pointnetkl.registration.pair.registration import Estimate, register
-from pointnetkl.registration.pair.settings import PairError, Settings
+from pointnetkl.registration.pair.settings import METHODS, PairError, Settings
 
-__all__ = ["Estimate", "Factor", "Forces", "PairError", "Settings", "at", "covariance", "factor", "register"]
+__all__ = ["METHODS", "Estimate", "Factor", "Forces", "PairError", "Settings", "at", "covariance", "factor", "register"]

@@ -107,7 +107,7 @@ def from_kernel(sums: tuple[np.ndarray, ...], dimensions: int, block_m: float) -
         ground=(ground + ground.T)[:m, :m] / 2,
         chance=(scale / max(matched, 1) * tilts[0] - tilts[1])[:m, :m],
         variance=variance[:m, :m],
-        residual_variance=square / max(matched - m, 1),
+        residual_variance=float(square / max(matched - m, 1)),
         matched=int(matched),
         blocks=int(count),
         lever_m=float(lever),
