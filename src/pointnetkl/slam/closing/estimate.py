@@ -60,7 +60,7 @@ class Tie:
     shares: np.ndarray  # (k,) of each target in the mean, with a sum of 1
     lever: np.ndarray  # (2,) metres, in the source's frame
     tied: np.ndarray  # (k, 3) poses of the targets at the time
-    place: np.ndarray  # (2,) metres, of the lever at the time, in the map
+    tied_source: np.ndarray  # (3,) and of the source
 
     @classmethod
     def at(
@@ -68,7 +68,7 @@ class Tie:
     ) -> "Tie":
         """Return the tie of a source at poses (n, 3); without shares all targets count the same."""
         shares = np.full(len(targets), 1 / len(targets)) if shares is None else shares
-        return cls(source, targets, shares, lever, poses[list(targets)].copy(), _point(poses[source], lever))
+        return cls(source, targets, shares, lever, poses[list(targets)].copy(), poses[source].copy())
 
     def offset(self, poses: np.ndarray) -> np.ndarray:
         """Return the offset (2,) at poses (n, 3)."""
@@ -77,10 +77,10 @@ class Tie:
             tied[:2] + rotate(moved - now[:2], tied[2] - now[2])
             for tied, now in zip(self.tied, poses[list(self.targets)], strict=True)
         ]
-        return np.asarray(self.shares @ np.array(places) - self.place)
+        return np.asarray(self.shares @ np.array(places) - _point(self.tied_source, self.lever))
 
     def jacobian(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns (3 k + 3,) and the slopes (2, 3 k + 3) of the offset by poses: the source's, then targets'."""
+        """Return the columns (3 k + 3,) of the source's pose and its targets', and the offset's slopes by them."""
         at = poses[self.source]
         arm = rotate(self.lever, at[2])
         moved, blocks = at[:2] + arm, [np.zeros((2, 3))]

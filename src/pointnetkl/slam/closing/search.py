@@ -60,7 +60,7 @@ class Ground:
             raise ClosingError(
                 f"there are {len(self.clouds)} clouds and {len(self.navigation)} poses, must be one each"
             )
-        if self.registration.dimensions != 2:  # noqa: PLR2004 - x and y
+        if self.registration.dimensions != 2:
             raise ClosingError("loop closures are registered in x and y: set registration.dof to xy")
 
 

@@ -89,7 +89,7 @@ def graduated(
         if ((weights == 0) | (weights == 1)).all():
             break
         mu *= step
-    weights = (weights > 0.5).astype(float)  # noqa: PLR2004 - as robust estimators do
+    weights = (weights > 0.5).astype(float)
     return solve(navigation, closures, weights), weights
 
 
