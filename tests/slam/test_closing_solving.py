@@ -128,6 +128,15 @@ def test_one_closure_at_a_time_is_all_of_them_where_steps_are_small():
     assert estimate.marginals == pytest.approx(solved.marginals, abs=1e-3)
 
 
+def test_hundreds_of_closures_one_at_a_time_leave_a_covariance():
+    estimate = Estimate(POSES, TOY.covariance)
+    for number in range(300):
+        k, i = number % 4, 5 + number % 3
+        estimate = solving.updated(estimate, closure(k, i, 15 * BOTH, (0.0, 0.0), estimate.poses))
+    assert np.array_equal(estimate.covariance, estimate.covariance.T)
+    assert np.linalg.eigvalsh(estimate.covariance)[0] > 0
+
+
 def test_half_a_weight_is_half_the_information():
     navigation, whole = white(POSES), closure(0, 7, BOTH, (1.0, -0.5))
     half = Closure(whole.tie, whole.A / np.sqrt(2), whole.c / np.sqrt(2), 0.01)

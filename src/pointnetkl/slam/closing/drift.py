@@ -108,7 +108,7 @@ def covariance(time_s: np.ndarray, xy: np.ndarray, settings: Settings, fix: Fix 
         total[:, axis, :, axis] += walked
     kept = total[len(times) - len(time_s) :, :, len(times) - len(time_s) :].reshape(2 * (3 * len(time_s),))
     noise = [settings.position_noise_m, settings.position_noise_m, settings.yaw_noise_rad]
-    return np.asarray(kept + np.diag(np.tile(np.square(noise), len(time_s))))
+    return np.asarray((kept + kept.T) / 2 + np.diag(np.tile(np.square(noise), len(time_s))))
 
 
 def edge_noise(time_s: float, length_m: float, settings: Settings) -> DeadReckoningNoise:

@@ -58,9 +58,11 @@ def updated(estimate: Estimate, closure: Closure) -> Estimate:
     columns, J = closure.tie.jacobian(estimate.poses)
     slopes = closure.A @ J
     CJ = estimate.covariance[:, columns] @ slopes.T
-    gain = CJ @ np.linalg.inv(slopes @ CJ[columns] + np.eye(closure.rank))
-    moved = estimate.poses - (gain @ closure.residual(estimate.poses)).reshape(-1, 3)
-    return Estimate(moved, estimate.covariance - gain @ CJ.T)
+    L = np.linalg.cholesky(slopes @ CJ[columns] + np.eye(closure.rank))
+    # a square is symmetric to the last digit; from C - gain J C asymmetry would grow threefold with every closure
+    half = linalg.solve_triangular(L, CJ.T, lower=True)
+    step = half.T @ linalg.solve_triangular(L, closure.residual(estimate.poses), lower=True)
+    return Estimate(estimate.poses - step.reshape(-1, 3), estimate.covariance - half.T @ half)
 
 
 def graduated(
