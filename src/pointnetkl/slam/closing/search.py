@@ -1,5 +1,6 @@
 """Loop closures searched from an estimate of a survey's poses: which submaps lie on which, and where they register."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -63,6 +64,18 @@ class Ground:
         if self.registration.dimensions != 2:
             raise ClosingError("loop closures are registered in x and y: set registration.dof to xy")
 
+    @functools.cached_property
+    def levers(self) -> np.ndarray:
+        """Return the middles (n, 2) of the clouds in their own frames, metres."""
+        return np.array([cloud[:, :2].mean(axis=0) for cloud in self.clouds])
+
+    @functools.cached_property
+    def radii(self) -> np.ndarray:
+        """Return how far (n,) their points reach from there, metres."""
+        return np.array(
+            [np.hypot(*(cloud[:, :2] - lever).T).max() for cloud, lever in zip(self.clouds, self.levers, strict=True)]
+        )
+
 
 def targets(ground: Ground, estimate: Estimate, source: int) -> list[int]:
     """Return the earlier submaps that a source lies on; none where they cover too little of it together.
@@ -71,21 +84,20 @@ def targets(ground: Ground, estimate: Estimate, source: int) -> list[int]:
     is how far off a submap may be. The one just before the source never counts.
     """
     cell = ground.settings.cell_factor * ground.spacing_m
-    posed = _Posed(ground, estimate)
-    union, kept = [], []
-    for k in range(source - 1):
-        tie = Tie.at(estimate.poses, source, [k], None, posed.lever(source))
-        sigma_points = _sigma_points(tie.variance(estimate))
-        if not posed.near(source, k, float(_SIGMAS * np.abs(sigma_points).max() / np.sqrt(2))):
-            continue
+    posed, covered = _Posed(ground, estimate), {}
+    middles = posed.middles
+    apart = np.hypot(*(middles[source] - middles[: max(source - 1, 0)]).T)
+    reach = ground.radii[source] + ground.radii[: len(apart)]
+    cloud = posed.cloud(source)[:, :2] if len(apart) else np.empty((0, 2))
+    for k in np.flatnonzero(apart <= reach + _farthest(estimate, source, len(apart))).tolist():
+        around = _sigma_points(Tie.at(estimate.poses, source, [k], None, ground.levers[source]).variance(estimate))
         covering = footprint.cells(posed.cloud(k), cell)
-        covered = [np.isin(footprint.keys(posed.cloud(source)[:, :2] + s, cell), covering) for s in sigma_points]
-        if np.mean(covered) >= ground.settings.target_coverage:
-            kept.append(k)
-            union.append(np.mean(covered, axis=0))
-    if not kept or np.mean(np.max(union, axis=0)) < ground.settings.coverage:
+        share = np.mean([np.isin(footprint.keys(cloud + offset, cell), covering) for offset in around], axis=0)
+        if share.mean() >= ground.settings.target_coverage:
+            covered[k] = share
+    if not covered or np.max(list(covered.values()), axis=0).mean() < ground.settings.coverage:
         return []
-    return kept
+    return list(covered)
 
 
 def register(ground: Ground, estimate: Estimate, source: int, on: Sequence[int]) -> Closure | None:
@@ -95,24 +107,29 @@ def register(ground: Ground, estimate: Estimate, source: int, on: Sequence[int])
     is wide on purpose, for an estimate may be too sure.
     """
     posed = _Posed(ground, estimate)
-    whole, owner = posed.cloud(source), np.repeat(np.arange(len(on)), [len(ground.clouds[k]) for k in on])
-    fused, origin = np.concatenate([posed.cloud(k) for k in on]), whole.mean(axis=0)
-    around = _box_around(fused, whole, ground.registration.max_distance_m)
-    fused, owner = fused[around] - origin, owner[around]
-    reach = ground.settings.overlap_factor * ground.spacing_m
-    if len(fused) < ground.registration.neighbours:
-        return None
+    whole = posed.cloud(source)
+    origin = whole.mean(axis=0)  # small coordinates round less
+    mapped, owner = _mapped(posed, on, whole, ground.registration.max_distance_m)
     prepared = gicp.prepare(whole - origin, ground.registration)
-    distance, nearest = cKDTree(fused[:, :2]).query(prepared.points[:, :2], distance_upper_bound=reach)
+    reach = ground.settings.overlap_factor * ground.spacing_m
+    distance, nearest = cKDTree((mapped - origin)[:, :2]).query(prepared.points[:, :2], distance_upper_bound=reach)
     over = np.isfinite(distance)
-    if over.sum() < ground.registration.neighbours:
+    if min(over.sum(), len(mapped)) < ground.registration.neighbours:
         return None
     part = gicp.part(prepared, over, ground.registration)
     shares = np.bincount(owner[nearest[over]], minlength=len(on)) / over.sum()
     x, y, yaw = estimate.poses[source]
-    lever = rotate(part.points.mean(axis=0)[:2] + origin[:2] - [x, y], -yaw)
+    lever = rotate((part.points.mean(axis=0) + origin)[:2] - [x, y], -yaw)
     tie = Tie.at(estimate.poses, source, list(on), shares, lever)
-    return _closure(ground, tie, estimate, part, gicp.prepare(fused, ground.registration))
+    return _closure(ground, tie, estimate, part, gicp.prepare(mapped - origin, ground.registration))
+
+
+def _mapped(posed: "_Posed", on: Sequence[int], cloud: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (m, 3) of targets over the rectangle of a cloud and a margin, and each one's place in `on`."""
+    low, high = cloud[:, :2].min(axis=0) - margin, cloud[:, :2].max(axis=0) + margin
+    clouds = [posed.cloud(k) for k in on]
+    around = [c[((c[:, :2] >= low) & (c[:, :2] <= high)).all(axis=1)] for c in clouds]
+    return np.concatenate(around), np.repeat(np.arange(len(on)), [len(c) for c in around])
 
 
 def _closure(ground: Ground, tie: Tie, estimate: Estimate, part: gicp.Part, target: gicp.Cloud) -> Closure | None:
@@ -132,21 +149,22 @@ class _Posed:
     """Clouds of a survey where an estimate has them."""
 
     def __init__(self, ground: Ground, estimate: Estimate) -> None:
-        self._clouds = ground.clouds
+        self._ground = ground
         self._poses = to_matrices(estimate.poses, ground.navigation)
 
+    @property
+    def middles(self) -> np.ndarray:
+        """Return the middles (n, 2) of the clouds in the map."""
+        return np.asarray((self._poses[:, :2, :2] @ self._ground.levers[:, :, None])[:, :, 0] + self._poses[:, :2, 3])
+
     def cloud(self, k: int) -> np.ndarray:
-        return pose.transform(self._poses[k], self._clouds[k])
+        return pose.transform(self._poses[k], self._ground.clouds[k])
 
-    def lever(self, k: int) -> np.ndarray:
-        """Return the middle (2,) of a cloud in its own frame."""
-        return np.asarray(self._clouds[k][:, :2].mean(axis=0))
 
-    def near(self, i: int, k: int, apart_m: float) -> bool:
-        """Whether two clouds may touch, if they may lie so far off their places."""
-        middle = [T[:2, :2] @ self.lever(j) + T[:2, 3] for j, T in ((i, self._poses[i]), (k, self._poses[k]))]
-        radii = sum(float(np.hypot(*(self._clouds[j][:, :2] - self.lever(j)).T).max()) for j in (i, k))
-        return bool(np.hypot(*(middle[0] - middle[1])) <= radii + apart_m)
+def _farthest(estimate: Estimate, source: int, others: int) -> np.ndarray:
+    """Return how far (others,) the first submaps may lie off their places on a source, metres: a bound."""
+    variances = np.trace(estimate.marginals[:, :2, :2], axis1=1, axis2=2)
+    return np.asarray(_SIGMAS * np.sqrt(2 * (variances[source] + variances[:others])))
 
 
 def _sigma_points(variance: np.ndarray) -> np.ndarray:
@@ -154,9 +172,3 @@ def _sigma_points(variance: np.ndarray) -> np.ndarray:
     w, v = np.linalg.eigh(variance)
     axes = np.sqrt(2.5 * np.maximum(w, 0.0))[:, None] * v.T  # four of five points carry all of the variance
     return np.concatenate([np.zeros((1, 2)), axes, -axes])
-
-
-def _box_around(points: np.ndarray, cloud: np.ndarray, margin: float) -> np.ndarray:
-    """Return which points (n, 3) lie over the rectangle of a cloud, or within a margin of it."""
-    low, high = cloud[:, :2].min(axis=0) - margin, cloud[:, :2].max(axis=0) + margin
-    return np.asarray(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
