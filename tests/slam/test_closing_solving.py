@@ -1,5 +1,7 @@
 """Poses from navigation and closures in covariance form: against GTSAM, and the axioms of ties and gates."""
 
+import dataclasses
+
 import gtsam
 import numpy as np
 import pytest
@@ -44,7 +46,7 @@ def white(poses: np.ndarray) -> Estimate:
 
 def closure(target: int, source: int, A: np.ndarray, pull: tuple[float, float], poses: np.ndarray = POSES) -> Closure:
     tie = Tie.at(poses, source, [target], None, LEVER)
-    return Closure(tie, A, A @ np.array(pull), 0.01)
+    return Closure(tie, A, A @ np.array(pull), 0.01, np.array(pull))
 
 
 def by_gtsam(navigation: Estimate, closures: list[Closure]) -> np.ndarray:
@@ -81,7 +83,7 @@ def test_a_closure_without_rank_is_no_factor():
 
 def test_several_targets_share_a_factor_s_information():
     tie = Tie.at(POSES, 7, [0, 1], np.array([0.3, 0.7]), LEVER)
-    graph = gtsam_factor.between(Closure(tie, BOTH, np.zeros(2), 0.01), TOY.truth)
+    graph = gtsam_factor.between(Closure(tie, BOTH, np.zeros(2), 0.01, np.zeros(2)), TOY.truth)
     shifted = POSES.copy()
     shifted[7, :2] += [0.3, -0.2]
     values = gtsam_search.to_values(to_matrices(shifted, TOY.truth))
@@ -139,7 +141,7 @@ def test_hundreds_of_closures_one_at_a_time_leave_a_covariance():
 
 def test_half_a_weight_is_half_the_information():
     navigation, whole = white(POSES), closure(0, 7, BOTH, (1.0, -0.5))
-    half = Closure(whole.tie, whole.A / np.sqrt(2), whole.c / np.sqrt(2), 0.01)
+    half = dataclasses.replace(whole, A=whole.A / np.sqrt(2), c=whole.c / np.sqrt(2))
     weighted, scaled = solving.solve(navigation, [whole], np.array([0.5])), solving.solve(navigation, [half])
     assert weighted.poses == pytest.approx(scaled.poses, abs=1e-9)
     assert weighted.covariance == pytest.approx(scaled.covariance, abs=1e-9)

@@ -30,6 +30,7 @@ _TESTED = (
 )
 _SOLVED = (
     *("slam/{}.parquet", "slam/{}_trajectories.parquet", "slam/{}_consistency.tif", "slam/{}_map_thinning.parquet"),
+    *("closing/{}.parquet", "closing/{}_closed.parquet", "closing/{}_closures.parquet"),
     *("robustness/{}.parquet", "robustness/{}_gate.parquet"),
 )
 _TRAINED = ("train/{}.csv", "train/{}.json")

@@ -16,6 +16,7 @@ CONSTANT_TRAIN, STRUCTURE_TENSOR, CELLO = "constant_train", "structure_tensor", 
 NETWORK, POINTNETKL = "network", "pointnetkl"
 UNSCALED, RANDOM_SPLIT = "pointnetkl_unscaled", "pointnetkl_random_split"
 SPLIT, PAIR = "split", "pair"  # measured on loop closures: the label by copy split, and Q_ij
+MAP = "map"  # of the pair's matches, at the end of a MAP registration
 OVERLAP = "_overlap"  # after a method's name: the method, asked about the ground that a loop closure's submaps share
 
 # What stands beside the methods in tables of SLAM, and no covariance made it.
@@ -72,6 +73,7 @@ METHODS = {
     RANDOM_SPLIT: Entry(Family.NETWORKS, Stage.PREDICT),
     SPLIT: Entry(Family.OTHERS, Stage.CALIBRATE),
     PAIR: Entry(Family.OTHERS, Stage.CALIBRATE),
+    MAP: Entry(Family.OTHERS, Stage.CALIBRATE),
 }
 
 

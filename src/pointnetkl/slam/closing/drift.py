@@ -73,6 +73,18 @@ PRESETS: Mapping[str, Settings] = MappingProxyType(
 )
 
 
+def named(name: str, stated: Mapping[str, Settings]) -> Settings:
+    """Return the rates of that name, of those stated or of PRESETS.
+
+    Raises:
+        DriftError: there are none.
+    """
+    known = {**PRESETS, **stated}
+    if name not in known:
+        raise DriftError(f"navigation is {name!r}, must be one of {', '.join(known)}; state its rates in section navigation")
+    return known[name]
+
+
 @dataclass(frozen=True)
 class Fix:
     """Where and when navigation was last known: from there on it drifts."""

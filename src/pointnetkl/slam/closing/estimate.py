@@ -5,6 +5,7 @@ belief is Gaussian with one covariance (3 n, 3 n), so that constant errors of na
 any submap on any others can be read off.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -107,6 +108,7 @@ class Closure:
     A: np.ndarray  # (rank, 2) 1/m
     c: np.ndarray  # (rank,)
     residual_variance: float  # s^2 of its matches, m^2
+    end: np.ndarray  # (2,) offset at which the search ended, metres
 
     @property
     def rank(self) -> int:
@@ -116,6 +118,18 @@ class Closure:
     def residual(self, poses: np.ndarray) -> np.ndarray:
         """Return A offset - c (rank,) at poses (n, 3)."""
         return np.asarray(self.A @ self.tie.offset(poses) - self.c)
+
+    def with_covariance(self, Q: np.ndarray) -> "Closure":
+        """Return the closure of the same end whose offset is said to have a covariance Q (2, 2), m^2, axes of the map.
+
+        Raises:
+            ClosingError: Q is not positive definite.
+        """
+        try:
+            A = np.linalg.inv(np.linalg.cholesky(Q))
+        except np.linalg.LinAlgError as error:
+            raise ClosingError(f"a covariance of a loop closure is {Q.tolist()}, must be positive definite") from error
+        return dataclasses.replace(self, A=A, c=A @ self.end)
 
 
 def linearised(closures: Sequence[Closure], poses: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:

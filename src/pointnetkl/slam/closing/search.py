@@ -140,9 +140,8 @@ def _closure(ground: Ground, tie: Tie, estimate: Estimate, part: gicp.Part, targ
     if end.forces.matched < ground.registration.neighbours:
         return None
     held = factor.of(end.forces, settings.numbers, settings.gates)
-    # its offset is from the end of the search, and the tie's from the start
-    c = held.c + held.A @ end.T_target_source.translation
-    return Closure(tie, held.A, c, end.forces.residual_variance)
+    moved = end.T_target_source.translation  # the factor's offset is from the end of the search, and the tie's from its start
+    return Closure(tie, held.A, held.c + held.A @ moved, end.forces.residual_variance, moved)
 
 
 class _Posed:

@@ -13,6 +13,7 @@ from pointnetkl.slam.closing.estimate import Closure, Estimate, from_matrices, t
 from pointnetkl.slam.closing.gates import State
 from pointnetkl.slam.closing.search import Ground
 from pointnetkl.slam.closing.search import Settings as SearchSettings
+from pointnetkl.surveys.se2 import rotate
 from pointnetkl.workflow.parameters import require_positive
 
 _FEWEST = 5  # closures whose residuals have a median worth the name
@@ -99,6 +100,31 @@ def close(
         if np.abs(estimate.poses - last.poses)[:, :2].max() < settings.steady_m:
             break
     return Closed(to_matrices(estimate.poses, navigation), start, estimate, found, rounds)
+
+
+def with_covariances(closed: Closed, covariances: np.ndarray, settings: Settings) -> Closed:
+    """Return a survey solved again from the same ends of its registrations, weighted by covariances (n, 2, 2).
+
+    They are m^2 in each source's own frame, as those of labels and networks are; of NaN, where there is none: that
+    source closes nothing. Gates judge by them.
+
+    Raises:
+        ClosingError: one of them is not positive definite, or the poses have no solution.
+    """
+    found = [
+        f if f.closure is None else dataclasses.replace(f, closure=_weighted(f.closure, covariances[f.source]))
+        for f in closed.found
+    ]
+    judged, estimate = judge(closed.navigation, found, settings)
+    poses = to_matrices(estimate.poses, closed.poses)
+    return dataclasses.replace(closed, poses=poses, estimate=estimate, found=judged)
+
+
+def _weighted(closure: Closure, Q: np.ndarray) -> Closure:
+    if np.isnan(Q).any():
+        return dataclasses.replace(closure, A=np.zeros((0, 2)), c=np.zeros(0))
+    R = rotate(np.eye(2), float(closure.tie.tied_source[2])).T
+    return closure.with_covariance(R @ Q @ R.T)
 
 
 def judge(navigation: Estimate, found: Sequence[Found], settings: Settings) -> tuple[list[Found], Estimate]:
