@@ -28,9 +28,9 @@ def main(arguments: argparse.Namespace) -> None:
     settings = parameters.read(arguments.params, "close", comparison.Settings)
     stated = parameters.read(arguments.params, "navigation", dict[str, drift.Settings])
     registration = parameters.read(arguments.params, "registration", pair.Settings)
-    rates = drift.named(study.survey(arguments.params, name).navigation, stated)
     artifacts.require_survey(name, arguments.submaps, arguments.poses, arguments.pings)
     _, graph, _ = graph_file.read(arguments.graph, name)
+    rates = drift.named(study.survey(arguments.params, name).navigation, stated)
     # headings are held by navigation: a turn of a submap by its matches would hardly move the map
     registration = dataclasses.replace(registration, dof="xy")
     results = comparison.none()

@@ -9,7 +9,7 @@ import closable
 from closable import Toy
 from pointnetkl.slam.closing import gates, search, survey
 from pointnetkl.slam.closing.estimate import ClosingError, Estimate, from_matrices
-from pointnetkl.slam.closing.gates import State
+from pointnetkl.slam.closing.schemas import State
 from pointnetkl.slam.closing.survey import Closed
 
 SETTINGS = survey.Settings()

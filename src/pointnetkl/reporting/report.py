@@ -44,7 +44,17 @@ from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.study import Study
 
 _IN_MARKDOWN = (  # tables for people; the others are for programs, and CSV alone
-    *("table_1", "table_2", "table_3", "table_4", "table_5", "labels", "label_quality", "label_accuracy", "label_noise"),
+    *(
+        "table_1",
+        "table_2",
+        "table_3",
+        "table_4",
+        "table_5",
+        "labels",
+        "label_quality",
+        "label_accuracy",
+        "label_noise",
+    ),
     *("cleaning", "table_4_authors", "slam_variants"),
     *("terrain", "map_thinning", "calibration_lc", "robustness", "loop_gate"),
 )

@@ -1,6 +1,6 @@
 """A survey before and after its loops are closed: its track and closures, and its error along the track."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pandas as pd
@@ -13,18 +13,18 @@ from pointnetkl.reporting import paper
 from pointnetkl.reporting.closing.numbers import Closings
 from pointnetkl.reporting.drawing import plots, sheet
 from pointnetkl.reporting.results import Test
-from pointnetkl.slam.closing.gates import State
+from pointnetkl.slam.closing.schemas import State
 
 _REFUSED = (State.RESIDUALS, State.PREDICTION, State.OUTVOTED, State.UNMATCHED)
 _COLOURS = {"accepted": plots.GREEN, "flat": "#bbbbbb", "refused": plots.RED}
 
 
-def every(closings: Closings, tests: dict[str, Test]) -> Iterator[tuple[str, Figure]]:
+def every(closings: Closings, tests: Mapping[str, Test]) -> Iterator[tuple[str, Figure]]:
     """Yield the figure of stage close, by name."""
     yield "closing", tracks(closings, tests)
 
 
-def tracks(closings: Closings, tests: dict[str, Test]) -> Figure:
+def tracks(closings: Closings, tests: Mapping[str, Test]) -> Figure:
     """Draw a row a survey: its track with the closures, and its error along the track before and after."""
     surveys = list(closings.poses["survey"].unique())
     if not surveys:

@@ -2,7 +2,7 @@
 
 The paper corrupts the yaw, and gives dead reckoning 5 m an edge. Here nothing is corrupted: poses are navigation's, as
 sure as the vehicle's drift leaves them. `map` registers by MAP. All others weight one set of GICP's ends, so that they
-differ by their covariance alone: `pair` by that of the matches, the rest by that of the source. All pass the same gates.
+differ by their covariance alone: `pair` by that of the matches, the rest by that of the source. Gates are the same.
 
 One survey has one drift. Where the truth is known, others are drawn about it from the same rates.
 """
@@ -21,8 +21,7 @@ from pointnetkl.registration import pair
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.slam.closing import drift, survey
 from pointnetkl.slam.closing.estimate import from_matrices, to_matrices
-from pointnetkl.slam.closing.gates import State
-from pointnetkl.slam.closing.schemas import CLOSURES, POSES, ROWS
+from pointnetkl.slam.closing.schemas import CLOSURES, POSES, ROWS, State
 from pointnetkl.slam.closing.survey import Closed
 from pointnetkl.slam.graph import trajectory_error
 from pointnetkl.workflow import compute
@@ -129,7 +128,11 @@ def _run(
             first = closed[catalogue.MAP]
             closed = dict(_by_gicp(sailed, covariance, rivals, settings, registration)) | closed
             start = first.navigation
-            rows.append(_row(sailed, catalogue.NAVIGATION, run, believed, replace(first, poses=sailed.navigation, estimate=start)))
+            rows.append(
+                _row(
+                    sailed, catalogue.NAVIGATION, run, believed, replace(first, poses=sailed.navigation, estimate=start)
+                )
+            )
         rows += [_row(sailed, method, run, believed, each) for method, each in closed.items()]
     assert first is not None  # believed has one factor at least
     return rows, first

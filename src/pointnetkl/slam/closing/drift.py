@@ -81,7 +81,9 @@ def named(name: str, stated: Mapping[str, Settings]) -> Settings:
     """
     known = {**PRESETS, **stated}
     if name not in known:
-        raise DriftError(f"navigation is {name!r}, must be one of {', '.join(known)}; state its rates in section navigation")
+        raise DriftError(
+            f"navigation is {name!r}, must be one of {', '.join(known)}; state its rates in section navigation"
+        )
     return known[name]
 
 

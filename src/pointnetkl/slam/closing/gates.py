@@ -1,24 +1,12 @@
 """What a loop closure must pass: residuals like the survey's others, and a place that drift can explain."""
 
 from collections.abc import Sequence
-from enum import StrEnum
 
 import numpy as np
 from scipy import stats
 
 from pointnetkl.registration.pair import factor
 from pointnetkl.slam.closing.estimate import Closure, Estimate, linearised
-
-
-class State(StrEnum):
-    """What became of a closure."""
-
-    ACCEPTED = "accepted"
-    UNMATCHED = "unmatched"  # too few points of the source lie over the targets
-    FLAT = "flat"  # no direction is held by the ground: nothing to tell the graph
-    RESIDUALS = "residuals"  # its matches fit worse than the survey's others
-    PREDICTION = "prediction"  # contradicts navigation and the other closures, were drift drift_factor times as large
-    OUTVOTED = "outvoted"  # by graduated non-convexity
 
 
 def by_residuals(closures: Sequence[Closure], settings: factor.Settings) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Schemas of the tables that stage `close` writes; without imports that are slow, for the report."""
+"""Schemas of the tables that stage `close` writes, and states; without imports that are slow, for the report."""
+
+from enum import StrEnum
 
 import pyarrow as pa
 
@@ -36,3 +38,14 @@ CLOSURES = pa.schema(
         ("sigmas", pa.float64()),  # length of its whitened residual at the solved poses
     ]
 )
+
+
+class State(StrEnum):
+    """What became of a closure."""
+
+    ACCEPTED = "accepted"
+    UNMATCHED = "unmatched"  # too few points of the source lie over the targets
+    FLAT = "flat"  # no direction is held by the ground: nothing to tell the graph
+    RESIDUALS = "residuals"  # its matches fit worse than the survey's others
+    PREDICTION = "prediction"  # contradicts navigation and the other closures, were drift drift_factor times as large
+    OUTVOTED = "outvoted"  # by graduated non-convexity

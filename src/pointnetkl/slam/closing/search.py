@@ -140,7 +140,9 @@ def _closure(ground: Ground, tie: Tie, estimate: Estimate, part: gicp.Part, targ
     if end.forces.matched < ground.registration.neighbours:
         return None
     held = factor.of(end.forces, settings.numbers, settings.gates)
-    moved = end.T_target_source.translation  # the factor's offset is from the end of the search, and the tie's from its start
+    moved = (
+        end.T_target_source.translation
+    )  # the factor's offset is from the end of the search, and the tie's from its start
     return Closure(tie, held.A, held.c + held.A @ moved, end.forces.residual_variance, moved)
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 from pointnetkl.registration import pair
 from pointnetkl.slam.closing import gates, search, solving
 from pointnetkl.slam.closing.estimate import Closure, Estimate, from_matrices, to_matrices
-from pointnetkl.slam.closing.gates import State
+from pointnetkl.slam.closing.schemas import State
 from pointnetkl.slam.closing.search import Ground
 from pointnetkl.slam.closing.search import Settings as SearchSettings
 from pointnetkl.surveys.se2 import rotate
