@@ -9,7 +9,7 @@ import closable
 from drifts import of_vehicle
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.simulation import vehicle
-from pointnetkl.slam.closing import comparison, drift, schemas
+from pointnetkl.slam.closing import comparison, drift, schemas, solving
 from pointnetkl.slam.closing.comparison import Results, Settings, Track
 from pointnetkl.slam.closing.estimate import ClosingError
 from pointnetkl.workflow import parameters
@@ -91,6 +91,24 @@ def test_drawn_drifts_have_the_covariance_that_is_believed():
     nees = np.einsum("ri,ij,rj->r", errors, np.linalg.pinv(believed, 1e-12), errors) / len(kept)
     assert nees.mean() == pytest.approx(1.0, abs=0.1)
     assert comparison.drawn(sailed, 0, 5) is sailed
+
+
+@pytest.mark.parametrize("truly", [1.0, 3.0])
+def test_the_variance_factor_tells_how_far_drift_is_understated(truly: float):
+    sailed = track()
+    drifting = dataclasses.replace(sailed, drift=closable.DRIFT.times(truly))
+    factors = []
+    for run in range(1, 7):
+        navigation = comparison.drawn(drifting, run, 2).navigation
+        closed = closable.sail("hills").close(navigation)
+        factors.append(solving.variance_factor(closed.navigation, closed.accepted))
+    assert 0.4 * truly**2 < np.mean(factors) < 2.2 * truly**2
+
+
+def test_without_closures_there_is_no_variance_factor():
+    flat = closable.sail("flat")
+    closed = flat.close(flat.truth)
+    assert np.isnan(solving.variance_factor(closed.navigation, closed.accepted))
 
 
 def test_the_same_seed_draws_the_same_drift():

@@ -19,7 +19,7 @@ import pandas as pd
 
 from pointnetkl.registration import pair
 from pointnetkl.registration.covariance import catalogue
-from pointnetkl.slam.closing import drift, survey
+from pointnetkl.slam.closing import drift, solving, survey
 from pointnetkl.slam.closing.estimate import from_matrices, to_matrices
 from pointnetkl.slam.closing.schemas import CLOSURES, POSES, ROWS, State
 from pointnetkl.slam.closing.survey import Closed
@@ -155,7 +155,8 @@ def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed) 
     states = Counter(f.state for f in closed.found)
     counts = {"closures": len(closed.found), "accepted": states[State.ACCEPTED], "flat": states[State.FLAT]}
     key = {"survey": sailed.survey, "method": method, "run": run, "believed": believed}
-    return key | errors(closed, sailed.truth) | counts
+    factor = solving.variance_factor(closed.navigation, closed.accepted)
+    return key | errors(closed, sailed.truth) | {"variance_factor": factor} | counts
 
 
 def errors(closed: Closed, truth: np.ndarray) -> dict[str, float]:

@@ -14,6 +14,10 @@ ROWS = pa.schema(
         ("believed", pa.float64()),  # factor of the drift's sigmas
         *((name, pa.float64()) for name in ERRORS),  # rms against the truth; null where it is not known
         ("pose_nees", pa.float64()),  # of x and y, 1 is right; null where the truth is not known
+        (
+            "variance_factor",
+            pa.float64(),
+        ),  # of accepted closures at navigation's poses: 1 where sigmas are right
         ("closures", pa.int32()),  # submaps that return to mapped ground
         ("accepted", pa.int32()),
         ("flat", pa.int32()),  # of them, those whose ground says nothing

@@ -53,6 +53,18 @@ def solve(navigation: Estimate, closures: Sequence[Closure], weights: np.ndarray
     )
 
 
+def variance_factor(navigation: Estimate, closures: Sequence[Closure]) -> float:
+    """Return r^T (J C J^T + I)^-1 r / m of the closures' m residuals at navigation's poses; NaN without any.
+
+    It is 1 where drift and closures are as sure as they say, and 9 where drift is three times as large.
+    """
+    J, r = linearised(closures, navigation.poses)
+    if not len(r):
+        return float("nan")
+    S = J @ np.asarray((J @ navigation.covariance).T) + np.eye(len(r))
+    return float(r @ linalg.solve(S, r, assume_a="pos") / len(r))
+
+
 def updated(estimate: Estimate, closure: Closure) -> Estimate:
     """Return an estimate with one more closure, at its linearisation: for the next one's start, `solve` settles it."""
     columns, J = closure.tie.jacobian(estimate.poses)
