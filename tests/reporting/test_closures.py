@@ -32,7 +32,7 @@ def drawn_closures(seed: int, sigma: float = 1.0, count: int = SUBMAPS, m: int =
     errors = {"error": sigma * placed if truth else np.nan * placed, "gt_error": sigma * placed, "placed_error": placed}
     for kind, e in errors.items():
         rows = rows.assign(**{f"{kind}_{unit}": e[:, i] for i, unit in enumerate(("x_m", "y_m", "w_rad")[:m])})
-    known = {"monte_carlo": 1.0, "split": 4.0, "pair": sigma**2}
+    known = {"monte_carlo": 1.0, "split": 4.0, "measured_pair": sigma**2}
     return Closures(rows, {name: dict(enumerate(factor * q)) for name, factor in known.items()})
 
 
@@ -66,7 +66,7 @@ def test_errors_of_the_map_do_not_count_in_placed_registrations():
     result = closure_numbers.calibrations({"a": drawn_closures(1, sigma=3.0)})["a"]
     assert result[GOLD]["nees"] == pytest.approx(9, rel=0.05)
     assert result[GOLD]["placed_nees"] == pytest.approx(1, abs=0.05)
-    assert result["pair"]["nees"] == pytest.approx(1, abs=0.05)
+    assert result["measured_pair"]["nees"] == pytest.approx(1, abs=0.05)
 
 
 def test_a_factor_found_on_one_survey_makes_the_other_one_right_if_both_are_wrong_alike():
@@ -101,7 +101,7 @@ def test_ratios_are_of_standard_deviations():
     assert len(closure_numbers.ratios(closures, GOLD)) == SUBMAPS
     assert closure_numbers.ratios(closures, GOLD)["worst_ratio"].to_numpy() == pytest.approx(3.0)
     longer = {number: q @ np.diag([4.0, 1.0]) for number, q in dict.fromkeys(range(SUBMAPS), np.eye(2)).items()}
-    squeezed = Closures(closures.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "pair": longer})
+    squeezed = Closures(closures.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "measured_pair": longer})
     result = closure_numbers.ratios(squeezed, GOLD)
     assert result["ratio"].to_numpy() == pytest.approx(np.sqrt(5 / 2))
     assert result["worst_ratio"].to_numpy() == pytest.approx(2)
@@ -118,14 +118,14 @@ def one_bias(against: str = "truth") -> Closures:
     ends = bias[closures.rows["submap"]] + rng.normal(0, 1e-3, (len(closures.rows), 2))
     rows = closures.rows.assign(placed_error_x_m=ends[:, 0], placed_error_y_m=ends[:, 1])
     pair = dict(enumerate(bias[:, :, None] * bias[:, None, :] + 1e-6 * np.eye(2)))
-    return Closures(rows, {**closures.covariances, "pair": pair})
+    return Closures(rows, {**closures.covariances, "measured_pair": pair})
 
 
 def test_a_q_of_rank_one_is_as_wide_as_its_error_and_not_as_its_short_axis():
     closures = one_bias()
     result = closure_numbers.ratios(closures, GOLD)
     shares = [
-        np.sqrt(np.linalg.det(closures.covariances["pair"][n]) / np.linalg.det(closures.covariances[GOLD][n]))
+        np.sqrt(np.linalg.det(closures.covariances["measured_pair"][n]) / np.linalg.det(closures.covariances[GOLD][n]))
         for n in range(SUBMAPS)
     ]
     assert np.median(np.sqrt(shares)) < 0.5  # by determinants, though the labels describe these errors rightly
@@ -137,7 +137,8 @@ def test_with_yaw_ratios_are_of_positions():
     closures = drawn_closures(1, m=3)
     turned = {number: q * np.diag([1.0, 1.0, 1e4]) for number, q in closures.covariances[GOLD].items()}
     closures = Closures(
-        closures.rows, {GOLD: dict.fromkeys(turned, np.eye(3)), "pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))}
+        closures.rows,
+        {GOLD: dict.fromkeys(turned, np.eye(3)), "measured_pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))},
     )
     result = closure_numbers.ratios(closures, GOLD)
     assert result[["ratio", "worst_ratio"]].to_numpy() == pytest.approx(2.0)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pointnetkl.registration.covariance import catalogue
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
+from pointnetkl.registration.covariance.catalogue import MAP, MEASURED_PAIR, PAIR, SPLIT
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.closures import numbers
 from pointnetkl.reporting.closures.numbers import Closures
@@ -22,7 +22,9 @@ _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plot
 _METHODS = {
     GOLD: plots.GREEN,
     SPLIT: plots.BLUE,
-    PAIR: "black",
+    MEASURED_PAIR: "black",
+    PAIR: plots.ORANGE,
+    MAP: plots.PURPLE,
     catalogue.NETWORK: plots.RED,
     catalogue.CONSTANT: plots.GREY,
 }
@@ -132,7 +134,7 @@ def binned(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _against_sigma(axes: Axes, closures: Closures, kind: str) -> None:
     for method, colour in _METHODS.items():
-        if method in closures.covariances and len(points := binned(*closures.described(method, kind))):
+        if method in closures.methods and len(points := binned(*closures.described(method, kind))):
             marker = "s" if len(points) == 1 else "."
             axes.plot(*points.T, marker=marker, color=colour, linewidth=1.3, label=_label(method))
     axes.set(xscale="log", yscale="log")
@@ -156,7 +158,7 @@ def _order(table: pd.DataFrame) -> list[str]:
 
 
 def _label(method: str) -> str:
-    labels = {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair, an oracle)"}
+    labels = {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", MEASURED_PAIR: "Q_ij (measured_pair, an oracle)"}
     return labels.get(method, method)
 
 

@@ -55,7 +55,8 @@ class Placed:
     ) -> None:
         """Prepare a submap at its pose (4, 4), and its targets' points (n, 3) in the map frame."""
         cloud = pose.transform(T_map_source, source.points)
-        self._T_map_source, self._spacing_m = T_map_source, spacing_m
+        self.T_map_source = T_map_source
+        self._spacing_m = spacing_m
         self._registration = pair.Settings(**dataclasses.asdict(registration), method="map")
         self._centroid = source.points[:, :2].mean(axis=0) if registration.dimensions == 3 else None
         self._ground = Ground(np.concatenate(targets), cloud.mean(axis=0), reach_m, registration)
@@ -106,14 +107,14 @@ class Placed:
         residual = np.full((len(motions), 4, 4), np.nan)
         for i, motion in enumerate(motions):
             if motion is not None:
-                residual[i] = np.linalg.inv(motion.act_on_pose(self._T_map_source)) @ self._T_map_source
+                residual[i] = np.linalg.inv(motion.act_on_pose(self.T_map_source)) @ self.T_map_source
         centroids = None if self._centroid is None else np.tile(self._centroid, (len(residual), 1))
         return survey_graph.residual_errors(residual, centroids)
 
     def _in_submap(self, q: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """Return a covariance in the map's axes about a part's centroid in those of the submap, about its own."""
         turn = np.eye(len(q))
-        turn[:2, :2] = rotate(np.eye(2), -SE2.from_matrix(self._T_map_source).yaw).T
+        turn[:2, :2] = rotate(np.eye(2), -SE2.from_matrix(self.T_map_source).yaw).T
         q = turn @ _about(q, -offset) @ turn.T
         return np.asarray((q + q.T) / 2)
 
