@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
+from pointnetkl.registration.covariance import table
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closure_numbers
 from pointnetkl.reporting.closures import tables as closure_tables
@@ -207,3 +209,64 @@ def test_bins_of_errors_drawn_from_q_lie_on_the_line():
     assert len(points) == 8
     assert points[:, 1] == pytest.approx(points[:, 0], rel=0.1)
     assert closure_figures.binned(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0, 2)
+
+
+def with_ends(closures: Closures, factor: float = 1.0) -> Closures:
+    """Return closures whose placed registrations have each the label's Q, times a factor, as methods pair and map."""
+    q = factor * np.array([closures.covariances[GOLD][number] for number in closures.rows["submap"]])
+    ends = closures.rows.assign(**table.to_columns(q))
+    return Closures(closures.rows, closures.covariances, {"pair": ends, "map": ends})
+
+
+@pytest.mark.parametrize("m", [2, 3])
+def test_the_log_likelihood_is_that_of_the_errors_under_their_own_covariances(m: int):
+    closures = with_ends(drawn_closures(1, m=m))
+    result = closure_numbers.calibrations({"a": closures})["a"]
+    errors = closures.errors("placed_error")
+    densities = [
+        stats.multivariate_normal.logpdf(error, np.zeros(m), closures.covariances[GOLD][number])
+        for error, number in zip(errors, closures.rows["submap"], strict=True)
+    ]
+    for method in (GOLD, "pair", "map"):
+        assert result[method]["placed_log_likelihood"] == pytest.approx(np.mean(densities))
+        low, high = result[method]["placed_log_likelihood_ci95"]
+        assert low < np.mean(densities) < high
+        assert result[method]["placed_median_m"] == pytest.approx(np.median(np.hypot(*errors[:, :2].T)))
+    assert result["split"]["placed_log_likelihood"] < result[GOLD]["placed_log_likelihood"]
+    assert "nees" not in result["pair"]  # of the graph's own registrations it has no covariance
+
+
+def test_birge_s_ratio_is_what_sigmas_are_too_small_by():
+    result = closure_numbers.calibrations({"a": with_ends(drawn_closures(1, sigma=3.0), 0.25)})["a"]
+    assert result[GOLD]["birge"] == pytest.approx(3, rel=0.03)
+    assert result[GOLD]["placed_birge"] == pytest.approx(1, rel=0.03)
+    assert result["pair"]["placed_birge"] == pytest.approx(2, rel=0.03)
+
+
+def test_split_is_recalibrated_by_what_the_other_surveys_ask_for():
+    surveys = {"a": drawn_closures(1), "b": drawn_closures(2)}
+    result = closure_numbers.calibrations(surveys)["b"]
+    assert result["split"]["placed_nees"] == pytest.approx(0.25, rel=0.05)  # split is four times the labels
+    assert result["split_recalibrated"]["placed_nees"] == pytest.approx(1, rel=0.05)
+    assert result["split_recalibrated"]["placed_log_likelihood"] == pytest.approx(
+        result[GOLD]["placed_log_likelihood"], abs=0.01
+    )
+    for others in ({}, {"a": drawn_closures(1, truth=False)}, {"a": drawn_closures(1, count=0)}):
+        assert "split_recalibrated" not in closure_numbers.calibrations({"b": surveys["b"], **others})["b"]
+
+
+def test_the_table_begins_with_the_log_likelihood_and_the_page_says_it():
+    surveys = {name: with_ends(drawn_closures(seed)) for seed, name in enumerate(("a", "b"))}
+    result = numbers(surveys)
+    frame = closure_tables.every(result, DATASETS)["calibration_lc"][0].frame
+    assert list(frame.columns[:7]) == [
+        *("survey", "simulated", "against", "method"),
+        *("placed_log_likelihood", "ci_low", "ci_high"),
+    ]
+    assert set(frame["method"]) == {GOLD, "split", "measured_pair", "split_recalibrated", "pair", "map"}
+    assert frame[frame["method"] == "pair"]["nees"].isna().all()
+    assert frame["placed_birge"].notna().all()
+    (likelihoods,) = (text for text in paragraphs(result, {}) if text.startswith("Mean log likelihood"))
+    assert "measured_pair" not in likelihoods
+    assert likelihoods.count("by MAP") == 2
+    assert len(dict(closure_figures.every(frame, surveys))) == 3

@@ -50,7 +50,7 @@ def clustered(values: np.ndarray, cluster: np.ndarray) -> tuple[float, float] | 
     _, place = np.unique(cluster, return_inverse=True)
     sums = np.bincount(place, values - values.mean()) if len(values) else np.empty(0)
     count = len(sums)
-    if count < _FEWEST_DRAWS or not np.isfinite(sums).all() or not sums.any():
+    if count < _FEWEST_DRAWS or not np.isfinite(sums).all() or np.abs(sums).max() <= 1e-12 * np.abs(values).sum():
         return None
     error = np.sqrt(count / (count - 1) * (sums**2).sum()) / len(values)
     low, high = stats.t.interval(0.95, count - 1, values.mean(), error)

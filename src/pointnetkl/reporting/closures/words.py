@@ -56,9 +56,10 @@ def section(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> Secti
             " searched along normals with that prior (docs/closures.md); map's errors are those of its own ends."
             " misfit_region is the practice of mbnavadjust: the region of offsets with under three times the least"
             " misfit. drpm propagates the noise of normals into the Hessian of point-to-plane (Hatleskog and Alexis"
-            " 2024), and takes residuals for independent. placed_log_likelihood, of the errors under N(0, Q) in nats, is what decides between"
-            " methods: a Q that is far too large covers everything. More is better, and 1 nat is a factor of 2.7 in the"
-            " density at the truth. Its interval counts submaps, because registrations of one are alike.",
+            " 2024), and takes residuals for independent. placed_log_likelihood, of the errors under N(0, Q) in nats,"
+            " decides between methods: a Q that is far too large covers everything. More is better, and 1 nat is a"
+            " factor of 2.7 in the density at the truth. Its interval counts submaps, because registrations of one are"
+            " alike.",
             *_likelihoods(calibrations, sizes),
             *_shares(sizes),
             *_causes(numbers["closures_by_hold"]),
