@@ -3,7 +3,7 @@
 Hatleskog and Alexis (IEEE RA-L 9(12), 2024) propagate the noise of normals into the Hessian H of point-to-plane
 registration, and ask of each of its eigenvectors how probable it is that the signal is ten times the noise. A step
 along an eigenvector is multiplied by that probability. As a covariance: an eigenvector has so much of its information,
-and the rest is the start's. Residuals count as independent, as there.
+and the rest is the start's. Residuals count as independent, as there, and the noise of points is a parameter.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from pointnetkl.surveys.se2 import SE2
 
 _SIGNAL_TO_NOISE = 10.0  # as in the authors' published example
 _LEAST_VARIANCE_M2 = 1e-9  # of residuals
+_LEAST_SCATTER_M2 = 1e-12  # of neighbours that lie on one another
 
 
 @dataclass(frozen=True)
@@ -28,24 +29,21 @@ class Target:
     noise: np.ndarray  # (n, 3, 3) of the normals, see normal_noise
 
 
-def target(cloud: gicp.Cloud) -> Target:
-    """Return a cloud as a target."""
-    return Target(cloud, cKDTree(cloud.points), normal_noise(cloud))
+def target(cloud: gicp.Cloud, noise_m: float) -> Target:
+    """Return a cloud as a target, whose points have this noise."""
+    return Target(cloud, cKDTree(cloud.points), normal_noise(cloud, noise_m))
 
 
-def normal_noise(cloud: gicp.Cloud) -> np.ndarray:
-    """Return the covariance (n, 3, 3) of a cloud's unit normals, in their tangent planes.
+def normal_noise(cloud: gicp.Cloud, noise_m: float) -> np.ndarray:
+    """Return the covariance (n, 3, 3) of a cloud's unit normals, in their tangent planes, for noise of its points.
 
-    A normal is that of a plane through k neighbours, with scatter S (a sum) and noise of variance s^2 along the normal:
-    s^2 sum v v^T / mu over the other two eigenvectors v of S, with s^2 = v^T S v / (k - 3) along the normal.
+    A normal is that of a plane through neighbours with scatter S (a sum). Its covariance is noise_m^2 sum v v^T / mu,
+    v and mu the eigenvectors and eigenvalues of S in the plane.
     """
-    k = cloud.lists.shape[1]
     sums = cloud.neighbourhoods.transpose(0, 2, 1).reshape(-1, 9)[: len(cloud.points), 3:]
     xx, xy, xz, yy, yz, zz = sums.T.astype(np.float64)
     mu, v = np.linalg.eigh(np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3))
-    variance = np.maximum(mu[:, :1], 0) / max(k - 3, 1)
-    tangent = v[:, :, 1:]
-    scale = variance / np.maximum(mu[:, 1:], 1e-12)
+    tangent, scale = v[:, :, 1:], noise_m**2 / np.maximum(mu[:, 1:], _LEAST_SCATTER_M2)
     return np.asarray((tangent * scale[:, None]) @ np.swapaxes(tangent, 1, 2))
 
 

@@ -154,6 +154,7 @@ def _measure(
     judged = there.judge(
         [end if closes else None for end, closes in zip(ends[settings.runs :], closed, strict=True)],
         loop_closure.start_sigmas(setup.graph, m),
+        label.noise_sigma_m,
     )
     cell = setup.graph.cell_factor * setup.spacing_m
     terrain, centre = closure_terrain.describe(source, T[closing.node], targets, cell, setup.registration)

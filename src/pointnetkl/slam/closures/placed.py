@@ -71,16 +71,19 @@ class Placed:
         """Return the errors (b, M) of ends in the submap's frame; NaN of None."""
         return self._errors([None if end is None else end.motion for end in ends])
 
-    def judge(self, ends: Sequence[End | None], sigmas: np.ndarray) -> list[list[Judged]]:
+    def judge(self, ends: Sequence[End | None], sigmas: np.ndarray, noise_m: float) -> list[list[Judged]]:
         """Return what each method says of each end, by catalogue.OF_REGISTRATIONS; nothing of None.
 
-        `sigmas` (M,) are the standard deviations of a start about the submap's centroid. misfit_region has no yaw, and
-        is left out where registrations find it.
+        `sigmas` (M,) are the standard deviations of a start about the submap's centroid, and `noise_m` is that of
+        points, which drpm asks for. misfit_region has no yaw, and is left out where registrations find it.
         """
         known = [end for end in ends if end is not None]
         if not known:
             return [[] for _ in ends]
-        rivals = _Rivals(self._ground.target, self._whole, self._spacing_m, float(sigmas[0]), self._registration)
+        box = self._whole.points[:, :2].min(axis=0), self._whole.points[:, :2].max(axis=0)
+        rivals = _Rivals(self._ground.target, noise_m, self._registration)
+        if self._registration.dimensions == 2:
+            rivals.look_up(box, self._spacing_m, max(float(sigmas[0]), _LEAST_SIGMA))
         return [[] if end is None else list(self._judge(end, sigmas, rivals)) for end in ends]
 
     def _register(self, start: SE2) -> End | None:
@@ -122,15 +125,16 @@ class Placed:
 class _Rivals:
     """The other covariances of GICP's end, with what they need of a target once."""
 
-    def __init__(
-        self, target: gicp.Cloud, whole: gicp.Cloud, spacing_m: float, sigma_m: float, registration: gicp.Settings
-    ) -> None:
-        self._planes, self._registration = drpm.target(target), registration
-        self._relief = None
-        if registration.dimensions == 2:
-            margin = _MARGIN_SIGMAS * max(sigma_m, _LEAST_SIGMA)
-            box = (whole.points[:, :2].min(axis=0) - margin, whole.points[:, :2].max(axis=0) + margin)
-            self._relief = misfit_region.relief(target.points, target.normals, box, spacing_m, sigma_m)
+    def __init__(self, target: gicp.Cloud, noise_m: float, registration: gicp.Settings) -> None:
+        self._target, self._registration = target, registration
+        self._planes = drpm.target(target, noise_m)
+        self._relief: misfit_region.Relief | None = None
+
+    def look_up(self, box: tuple[np.ndarray, np.ndarray], spacing_m: float, sigma_m: float) -> None:
+        """Look up the relief about a source that lies in a box, for misfit_region to be one of the covariances."""
+        margin = _MARGIN_SIGMAS * sigma_m
+        wide = box[0] - margin, box[1] + margin
+        self._relief = misfit_region.relief(self._target.points, self._target.normals, wide, spacing_m, sigma_m)
 
     def covariances(self, part: gicp.Part, T_target_source: SE2, prior: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         """Yield each one by its method's name, in the target's axes about the part's centroid."""
