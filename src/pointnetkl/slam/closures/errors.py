@@ -81,7 +81,7 @@ class ClosingNode:
 class _Measured:
     node: int
     description: dict[str, float]  # columns schemas.DESCRIPTION
-    placed: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
+    errors: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
     judged: list[list[placed.Judged]]  # of each draw; empty where the draw does not register the node, or no match
     covariances: dict[str, np.ndarray]  # SPLIT and MEASURED_PAIR, (M, M)
 
@@ -235,9 +235,9 @@ def _misplaced(
 def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.DataFrame:
     closures = graph.draws[draw]
     nodes = [by_node[node] for node in closures.node.tolist()]
-    placed = np.array([node.placed[draw] for node in nodes]).reshape(len(nodes), closures.start.shape[1])
+    of_placed = np.array([node.errors[draw] for node in nodes]).reshape(len(nodes), closures.start.shape[1])
     against_truth = survey_graph.registration_errors(closures, graph.truth)
-    errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), placed)
+    errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), of_placed)
     axes = ("x_m", "y_m", "w_rad")
     return pd.DataFrame(
         {
