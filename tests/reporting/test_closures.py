@@ -1,9 +1,12 @@
 """The report's section on loop closures: errors drawn from Q are described rightly, surveys may close no loop."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from scipy import stats
 
@@ -13,8 +16,9 @@ from pointnetkl.reporting.closures import numbers as closure_numbers
 from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.closures import words as closure_words
 from pointnetkl.reporting.closures.numbers import Closures
-from pointnetkl.reporting.results import GOLD
+from pointnetkl.reporting.results import GOLD, Folders, Labels, ResultsError
 from pointnetkl.slam.closures import schemas as calibrate_schemas
+from pointnetkl.workflow import artifacts, study
 
 SUBMAPS, DRAWS = 60, 60
 DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}
@@ -270,3 +274,39 @@ def test_the_table_begins_with_the_log_likelihood_and_the_page_says_it():
     assert "measured_pair" not in likelihoods
     assert likelihoods.count("by MAP") == 2
     assert len(dict(closure_figures.every(frame, surveys))) == 3
+
+
+def read(folder: Path, ends: pd.DataFrame, schema: pa.Schema = calibrate_schemas.ENDS) -> Closures:
+    """Return what the report reads of two registrations of a test survey, and these ends."""
+    own = folder / "test/borno_8"
+    rows = pd.DataFrame(1.0, [0, 1], calibrate_schemas.CLOSURES.names)
+    rows = rows.assign(survey="borno_8", draw=0, submap=[3, 4], targets=1, converged=True)
+    artifacts.write_table(own / "closures.parquet", rows, calibrate_schemas.CLOSURES, {})
+    artifacts.write_table(own / "closure_covariances.parquet", table.SCHEMA.empty_table().to_pandas(), table.SCHEMA, {})
+    artifacts.write_table(own / "closure_ends.parquet", ends, schema, {})
+    folders = Folders(folder, folder, folder, study.read(Path(__file__).parents[2] / "params.yaml"))
+    labels = Labels(np.array([3, 4]), np.array(2 * [np.eye(2)]), np.ones(2), np.zeros(2, bool), pd.DataFrame(), {})
+    return closure_numbers.read(folders, "borno_8", labels, SimpleNamespace(covariances={}))
+
+
+def two_ends(submaps: tuple[int, int]) -> pd.DataFrame:
+    """Return two ends of method pair with errors of a metre."""
+    ends = pd.DataFrame(1.0, [0, 1], calibrate_schemas.ENDS.names)
+    return ends.assign(survey="borno_8", draw=0, submap=submaps, method="pair", q_xy_m2=0.0)
+
+
+def test_ends_are_read_by_method(tmp_path: Path):
+    closures = read(tmp_path, two_ends((3, 4)))
+    errors, q = closures.described("pair", "placed_error")
+    assert (errors == 1).all()
+    assert (q == np.eye(2)).all()
+    assert closures.nodes("pair").tolist() == [3, 4]
+    assert len(closures.described("pair")[0]) == 0
+
+
+def test_ends_of_other_registrations_and_of_another_form_are_refused_in_a_sentence(tmp_path: Path):
+    with pytest.raises(ResultsError, match=r"closure_ends.parquet: has registrations that closures.parquet lacks"):
+        read(tmp_path, two_ends((3, 5)))
+    short = pa.schema([calibrate_schemas.ENDS.field(name) for name in calibrate_schemas.ENDS.names[:-1]])
+    with pytest.raises(artifacts.ArtifactError, match=r"closure_ends.parquet.*q_yy_m2"):
+        read(tmp_path, two_ends((3, 4)).drop(columns="q_yy_m2"), short)

@@ -45,7 +45,7 @@ def by_method(table: pd.DataFrame) -> Figure:
     """Draw each method's NEES and coverage on loop closures, beside placed registrations and held-out errors.
 
     `table` has a row per survey and method: nees, coverage_95, and both again with the prefixes placed_ and held_out_
-    (None where not known).
+    (None where not known). The best methods, by the column placed_log_likelihood, come first.
     """
     if table.empty:
         return _nothing()
@@ -152,9 +152,9 @@ def _dumbbells(axes: Axes, rows: pd.DataFrame, heights: np.ndarray, column: str,
 
 
 def _order(table: pd.DataFrame) -> list[str]:
-    """Return the methods, the best first: by the mean distance of their coverage from 95 %, over all surveys."""
-    miss = (table["coverage_95"].astype(float) - 0.95).abs().groupby(table["method"]).mean()
-    return [str(method) for method in miss.sort_values(kind="stable").index]
+    """Return the methods, the best first: by the mean log likelihood of placed errors, over all surveys."""
+    likelihood = table["placed_log_likelihood"].astype(float).groupby(table["method"]).mean()
+    return [str(method) for method in likelihood.sort_values(ascending=False, kind="stable").index]
 
 
 def _label(method: str) -> str:

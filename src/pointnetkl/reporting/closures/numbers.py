@@ -11,7 +11,7 @@ from scipy import linalg, stats
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.registration.covariance.catalogue import GT, MEASURED_PAIR, SPLIT, SPLIT_RECALIBRATED, TRUTH
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
+from pointnetkl.reporting.results import GOLD, Folders, Labels, ResultsError, Test
 from pointnetkl.slam.closures.schemas import BUILT, CLOSURES, DESCRIPTION, ENDS, ENDS_YAW, PLACED, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
@@ -80,6 +80,7 @@ def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
 
     Raises:
         ArtifactError: a table is missing or damaged.
+        ResultsError: single registrations have covariances, and are not among the loop closures.
     """
     rows = artifacts.read_table(folders.product(survey, "closures.parquet"), CLOSURES, also=YAW)
     path = folders.product(survey, "closure_covariances.parquet")
@@ -89,7 +90,11 @@ def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
     measured = artifacts.read_table(path, table.SCHEMA, also=table.YAW)
     for method, own in measured.groupby("method", sort=False):
         covariances[str(method)] = dict(zip(own["submap"].tolist(), table.to_matrices(own), strict=True))
-    ends = artifacts.read_table(folders.product(survey, "closure_ends.parquet"), ENDS, also=ENDS_YAW)
+    path = folders.product(survey, "closure_ends.parquet")
+    ends = artifacts.read_table(path, ENDS, also=ENDS_YAW)
+    registered = pd.MultiIndex.from_frame(rows[["survey", "draw", "submap"]])
+    if not pd.MultiIndex.from_frame(ends[["survey", "draw", "submap"]]).isin(registered).all():
+        raise ResultsError(f"{path}: has registrations that closures.parquet lacks; run dvc repro calibrate@{survey}")
     return Closures(rows, covariances, {str(method): own for method, own in ends.groupby("method", sort=False)})
 
 
