@@ -9,7 +9,7 @@ import pandas as pd
 import yaml
 
 from pointnetkl.registration import monte_carlo
-from pointnetkl.registration.covariance import label_table, table
+from pointnetkl.registration.covariance import catalogue, label_table, table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.benchmark import schemas as slam_schemas
 from pointnetkl.slam.closing import schemas as closing_schemas
@@ -256,8 +256,11 @@ def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
     table_ = rows.assign(survey=fake.name, **index, **columns)
     artifacts.write_table(folder / "closures.parquet", table_, closure_schemas.CLOSURES, {})
     covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
-    covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
+    covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "measured_pair")]
     artifacts.write_table(folder / "closure_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
+    each = table_.assign(**table.to_columns(fake.q[submaps]))
+    ends = pd.concat([each.assign(method=method) for method in catalogue.OF_REGISTRATIONS])
+    artifacts.write_table(folder / "closure_ends.parquet", ends[closure_schemas.ENDS.names], closure_schemas.ENDS, {})
 
 
 def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:

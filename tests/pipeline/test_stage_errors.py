@@ -160,7 +160,7 @@ def arguments(name: str, toy: Path, out: Path, **spoilt: str) -> list[str]:
     q, points = "toy_q.parquet", "toy.parquet"
     read, written = {
         "graph": ({"poses": points, "labels": q, "pings": points, "truth": points}, ["graph"]),
-        "calibrate": ({"graph": "toy.npz", "model": "none"}, ["closures", "covariances"]),
+        "calibrate": ({"graph": "toy.npz", "model": "none"}, ["closures", "covariances", "ends"]),
         "slam": (
             {"graph": "toy.npz", "estimated": q, "predicted": q, "measured": q, "pings": points},
             ["rows", "trajectories", "consistency", "map-thinning"],

@@ -23,16 +23,18 @@ def _sources() -> str:
 _CACHE = Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / f"kernels-{_sources()}"
 
 
-def kernel(function: Callable[..., Any], *, reorder: bool = False) -> Any:
+def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function to be called from Python as `gicp.device.kernel` does, and keep it on disk.
 
     The folder of the cache is named by a hash of all files of both packages, because a kernel contains what it calls
     from other files, and numba's cache notices a change of the function's own file only.
+
+    Sums keep their order. In another, H and X of the process that compiles differed in their last digits from those of
+    one that finds the kernels on disk, and so did the bytes of a stage's table.
     """
     before = config.CACHE_DIR
     config.CACHE_DIR = str(_CACHE)
     try:
-        fast = {"nsz", "reassoc"} if reorder else {"nsz"}
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fast)(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz"})(function)
     finally:
         config.CACHE_DIR = before

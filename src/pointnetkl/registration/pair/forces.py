@@ -3,7 +3,6 @@
 Equations are those of docs/closures.md; `pair.reference` has the same in plain NumPy.
 """
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -155,7 +154,7 @@ def total(cloud, target, motion, block, epsilon, in_plane):  # type: ignore[no-u
     return H, X, tilts, S, numbers
 
 
-@functools.partial(compilation.kernel, reorder=True)
+@compilation.kernel
 def _moments(weights, left, right):  # type: ignore[no-untyped-def]
     # the sums (3, 3) of weights (n,) times rows of left and right (3, n)
     sums = np.empty((3, 3))
