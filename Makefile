@@ -24,7 +24,8 @@ test: .venv/complete  ## the tests, with the whole pipeline at smoke scale among
 test-fast: .venv/complete  ## the tests that take no more than a few seconds each
 	@$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-bench: .venv/complete  ## registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
+bench: .venv/complete  ## loop closures by MAP; registrations against small_gicp and Open3D: medians of 5 runs, about 2 minutes
+	@$(BIN)/python benchmarks/pair.py
 	@$(BIN)/python benchmarks/gicp.py --open3d --json
 
 fuzz: .venv/complete  ## every reader of raw files on 10,000 damaged ones, twice; some 20 minutes

@@ -32,8 +32,8 @@ class Ground:
     points: np.ndarray  # (n, 3) metres, centred
 
 
-def ladder(params: Path, survey: str, drawn: int, points: int, seed: int) -> list[Ground]:
-    """Return so many submaps drawn from a survey's terrain, flattest first.
+def ladder(params: Path, survey: str, drawn: int, points: int, seed: int, passes: int = 1) -> list[Ground]:
+    """Return so many submaps drawn from a survey's terrain, flattest first, of so many points for each pass over it.
 
     Raises:
         SettingsError: the parameter file has no such survey.
@@ -42,15 +42,16 @@ def ladder(params: Path, survey: str, drawn: int, points: int, seed: int) -> lis
     terrain = parameters.read(params, f"simulate.{survey}.terrain", seabed.Settings)
     registration = parameters.read(params, "registration", gicp.Settings)
     spacing_m = study.survey(params, survey).point_spacing_m
-    clouds = [simulation.patch(terrain, points, spacing_m, np.random.default_rng([seed, k])) for k in range(drawn)]
+    size = passes * points, spacing_m / np.sqrt(passes)
+    clouds = [simulation.patch(terrain, *size, np.random.default_rng([seed, k])) for k in range(drawn)]
     grounds = [Ground(survey, spacing_m, _gentlest_slope(cloud, registration), cloud) for cloud in clouds]
     return sorted(grounds, key=lambda ground: ground.slope)
 
 
-def chosen(params: Path, terrain: str, points: int, seed: int) -> dict[str, Ground]:
+def chosen(params: Path, terrain: str, points: int, seed: int, passes: int = 1) -> dict[str, Ground]:
     """Return the submaps of one terrain, or of "all", from each survey's ladder, by survey and terrain."""
     names = list(TERRAINS) if terrain == "all" else [terrain]
-    ladders = {survey: ladder(params, survey, DRAWN, points, seed) for survey in SURVEYS}
+    ladders = {survey: ladder(params, survey, DRAWN, points, seed, passes) for survey in SURVEYS}
     return {
         f"{survey} {name}": grounds[round(TERRAINS[name] * (len(grounds) - 1))]
         for survey, grounds in ladders.items()

@@ -19,7 +19,7 @@ from pointnetkl.workflow import artifacts, command, parameters
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Read the graph and its submaps; write the errors of its registrations, and a table of covariances."""
+    """Read the graph and its submaps; write the errors of its registrations, and tables of covariances."""
     name = arguments.survey
     settings = parameters.read(arguments.params, "calibrate", closure_errors.Settings)
     label_settings = parameters.read(arguments.params, "label", monte_carlo.Settings)
@@ -30,16 +30,17 @@ def main(arguments: argparse.Namespace) -> None:
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     spacing = submap.read_sampling(arguments.submaps).spacing_m
     setup = closure_errors.Setup(spacing, graph_settings, label_settings, registration_settings)
-    rows, measured = closure_errors.measure(file.graph, submaps, settings, setup)
+    measured = closure_errors.measure(file.graph, submaps, settings, setup)
     models = trained.load_all([arguments.model], label_settings, registration_settings)
     predicted = overlap.tabulate(models, file.graph, submaps, setup.reach_m)
-    covariances = pd.concat([measured, predicted], ignore_index=True)
+    covariances = pd.concat([measured.covariances, predicted], ignore_index=True)
     sections = {"calibrate": settings, "label": label_settings}
     metadata = {"survey": name, "graph": file.metadata}
     metadata |= {section: parameters.as_metadata(values) for section, values in sections.items()}
     dimensions = registration_settings.dimensions
-    artifacts.write_table(arguments.closures, rows, schemas.schema(dimensions), metadata)
+    artifacts.write_table(arguments.closures, measured.rows, schemas.schema(dimensions), metadata)
     artifacts.write_table(arguments.covariances, covariances, table.schema(dimensions), metadata)
+    artifacts.write_table(arguments.ends, measured.ends, schemas.ends_schema(dimensions), metadata)
 
 
 if __name__ == "__main__":
@@ -52,4 +53,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("--closures", type=Path, required=True, help="table of its loop closures' errors to write")
     parser.add_argument("--covariances", type=Path, required=True, help="table of covariances to write")
+    parser.add_argument(
+        "--ends", type=Path, required=True, help="table to write, of errors and covariances of single registrations"
+    )
     command.run(main, parser)

@@ -16,7 +16,7 @@ import torch
 from pointnetkl import simulation
 from pointnetkl.models import mean_field
 from pointnetkl.models.point_mlp import PointMLP, PooledMLP
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration import gicp, monte_carlo, pair
 from pointnetkl.simulation import vehicle
 from pointnetkl.slam.consistency.map_to_map import MapToMap
 from pointnetkl.surveys.submap import Submap
@@ -47,6 +47,10 @@ def register(points: np.ndarray) -> None:
     monte_carlo.label(Submap("toy", 0, points, points[::2], points[1::2]), 20, label, settings)
     cloud = gicp.prepare(points, settings)
     gicp.register(cloud, cloud, settings)
+    of_pair = pair.Settings(**dataclasses.asdict(settings), method="map")
+    prior = np.diag(monte_carlo.prior_sigmas(label, settings.dimensions) ** 2)
+    found = pair.register(gicp.Part(cloud.points, cloud.normals), cloud, prior, cloud.spacing_m, of_pair)
+    pair.at(cloud, cloud, found.T_target_source, 8 * cloud.spacing_m, of_pair, in_plane=True)
     mean_field.describe(points, mean_field.conditions(label, settings))
 
 

@@ -9,9 +9,10 @@ import pandas as pd
 import yaml
 
 from pointnetkl.registration import monte_carlo
-from pointnetkl.registration.covariance import label_table, table
+from pointnetkl.registration.covariance import catalogue, label_table, table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.benchmark import schemas as slam_schemas
+from pointnetkl.slam.closing import schemas as closing_schemas
 from pointnetkl.slam.closures import schemas as closure_schemas
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.slam.consistency import schemas as consistency_schemas
@@ -238,6 +239,7 @@ def _write_test(root: Path, fake: Fake) -> None:
     artifacts.write_arrays(root / f"data/test/{fake.name}/graph.npz", graph, {})
     _write_closures(root / f"data/test/{fake.name}", fake, edges[:, 1])
     _write_slam(root / "reports/slam", fake, gt, truth=not own)
+    _write_closing(root / "reports/closing", fake, gt, edges, truth=not own)
     _write_robustness(root / "reports/robustness", fake, len(edges))
 
 
@@ -254,8 +256,11 @@ def _write_closures(folder: Path, fake: Fake, sources: np.ndarray) -> None:
     table_ = rows.assign(survey=fake.name, **index, **columns)
     artifacts.write_table(folder / "closures.parquet", table_, closure_schemas.CLOSURES, {})
     covariances = [table.from_matrices(fake.name, "split", [], np.empty((0, 2, 2)))]
-    covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "pair")]
+    covariances += [table.from_matrices(fake.name, m, sources, fake.q[sources]) for m in ("split", "measured_pair")]
     artifacts.write_table(folder / "closure_covariances.parquet", pd.concat(covariances), table.SCHEMA, {})
+    each = table_.assign(**table.to_columns(fake.q[submaps]))
+    ends = pd.concat([each.assign(method=method) for method in catalogue.OF_REGISTRATIONS])
+    artifacts.write_table(folder / "closure_ends.parquet", ends[closure_schemas.ENDS.names], closure_schemas.ENDS, {})
 
 
 def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
@@ -280,6 +285,27 @@ def _write_slam(folder: Path, fake: Fake, gt: np.ndarray, truth: bool) -> None:
         folder / f"{fake.name}_trajectories.parquet", pd.concat(trajectories), slam_schemas.TRAJECTORIES, {}
     )
     _write_maps(folder, fake, [rows["which"].iloc[0] for rows in trajectories], rng)
+
+
+def _write_closing(folder: Path, fake: Fake, poses: np.ndarray, edges: np.ndarray, truth: bool) -> None:
+    """Write a survey that map closes better than constant, but for its last drift, of twice navigation's error."""
+    rows = []
+    for run, (method, error) in itertools.product(range(2), (("navigation", 2.0), ("constant", 1.5), ("map", 0.5))):
+        errors = dict.fromkeys(closing_schemas.ERRORS, error if run == 0 or method != "map" else 4.0)
+        counts = {"closures": len(edges), "accepted": len(edges) // 2, "flat": 0}
+        key = {"survey": fake.name, "method": method, "run": run, "believed": 1.0}
+        rows.append(key | (errors | {"pose_nees": 1.0} if truth else {}) | counts)
+    rows.append(rows[2] | {"believed": 3.0})
+    table_ = pd.DataFrame(rows).reindex(columns=closing_schemas.ROWS.names)
+    artifacts.write_table(folder / f"{fake.name}.parquet", table_, closing_schemas.ROWS, {})
+    closed = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
+    sigmas = {name: 0.5 for name in closing_schemas.POSES.names if name.startswith("sigma")}
+    table_ = pd.DataFrame({"survey": fake.name, "submap": range(len(poses)), "yaw_rad": 0.0, **closed, **sigmas})
+    artifacts.write_table(folder / f"{fake.name}_closed.parquet", table_, closing_schemas.POSES, {})
+    states = [str(list(closing_schemas.State)[k % 6]) for k in range(len(edges))]
+    table_ = pd.DataFrame({"target": edges[:, 0], "source": edges[:, 1], "state": states, "survey": fake.name})
+    table_ = table_.assign(share=1.0, rank=2, residual_m=0.1, moved_m=0.3, sigmas=1.0)
+    artifacts.write_table(folder / f"{fake.name}_closures.parquet", table_, closing_schemas.CLOSURES, {})
 
 
 def _write_robustness(folder: Path, fake: Fake, closures: int) -> None:

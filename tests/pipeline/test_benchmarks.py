@@ -39,6 +39,26 @@ def test_the_race_with_small_gicp_ends_in_its_numbers() -> None:
     assert numbers["versions"]["small_gicp"]
 
 
+def test_a_loop_closure_by_map_ends_in_its_numbers() -> None:
+    numbers = last_line("pair", "--runs", "3", "--repetitions", "2", "--terrain", "rugged")
+    for name in ("gicp_ms", "map_ms", "pair_ms", "ratio", "covariance_ms", "factor_ms", "pair_yaw_ms", "ratio_largest"):
+        assert numbers[name] > 0
+    assert [row["submap"] for row in numbers["submaps"]] == ["borno_8 rugged", "thwaites_11 rugged"]
+    assert all(0 <= row["rank"] <= 2 and row["map_rms_m"] > 0 for row in numbers["submaps"])
+
+
+def test_closures_of_a_survey_sailed_anew_end_nearer_to_the_truth_by_map() -> None:
+    result = run("placed", "--surveys", "borno_8", "--seeds", "1", "--json")
+    assert result.returncode == 0, result.stderr
+    numbers = json.loads(result.stdout.splitlines()[-1])
+    everything = [row for row in numbers["classes"] if row["survey"] == "all"]
+    assert sum(row["closures"] for row in everything) == numbers["closures"] > 20
+    held = everything[-1]
+    assert held["ground"] == "held"
+    assert held["map_rms_m"] < 0.2
+    assert held["map_in_95"] > 0.8
+
+
 @pytest.mark.parametrize("copy", ["same", "split"])
 def test_the_kernel_has_the_references_answer_on_simulated_ground(copy: str) -> None:
     options = ("--submaps", "4", "--runs", "10", "--production-runs", "12", "--copy", copy)
@@ -59,6 +79,8 @@ def test_the_gain_of_a_second_worker_ends_in_its_numbers() -> None:
     ("script", "options", "why"),
     [
         ("gicp", ("--repetitions", "0"), "--repetitions 0"),
+        ("placed", ("--surveys", "nowhere"), "nowhere"),
+        ("pair", ("--runs", "0"), "--runs is 0"),
         ("agreement", ("--submaps", "1"), "--submaps is 1"),
         ("scaling", ("--workers", "1"), "--workers"),
         ("agreement", ("--params", "nowhere.yaml"), "nowhere.yaml"),

@@ -122,7 +122,7 @@ def test_changing_slam_reruns_slam_stress_and_report_only():
 
 
 def test_changing_a_model_neither_relabels_nor_reestimates():
-    assert rerun_by("models") == {"train", "predict", "calibrate", "slam", "stress", "time", "report"}
+    assert rerun_by("models") == {"train", "predict", "calibrate", "close", "slam", "stress", "time", "report"}
 
 
 def test_changing_label_does_not_rerun_simulate_to_voxelise():
@@ -146,6 +146,7 @@ def test_a_new_test_survey_reaches_only_its_own_stages_and_the_report():
         "graph",
         "slam",
         "calibrate",
+        "close",
         "stress",
     }
     others = {

@@ -136,6 +136,8 @@ Q_ELSEWHERE = "has covariances of survey other, not of toy; give the files of on
         ("slam", "toy", {"submaps": "other.parquet"}, f"other.parquet: {ELSEWHERE}"),
         ("slam", "other", {}, "toy.npz: is of survey toy, not of other; give the files of one survey"),
         ("calibrate", "toy", {"submaps": "other.parquet"}, f"other.parquet: {ELSEWHERE}"),
+        ("close", "toy", {"poses": "other.parquet"}, f"other.parquet: {ELSEWHERE}"),
+        ("close", "other", {}, "toy.parquet: is of survey toy, not of other; give the files of one survey"),
         ("stress", "toy", {"estimated": "other_q.parquet"}, f"other_q.parquet: {Q_ELSEWHERE}"),
         (
             "stress",
@@ -158,10 +160,14 @@ def arguments(name: str, toy: Path, out: Path, **spoilt: str) -> list[str]:
     q, points = "toy_q.parquet", "toy.parquet"
     read, written = {
         "graph": ({"poses": points, "labels": q, "pings": points, "truth": points}, ["graph"]),
-        "calibrate": ({"graph": "toy.npz", "model": "none"}, ["closures", "covariances"]),
+        "calibrate": ({"graph": "toy.npz", "model": "none"}, ["closures", "covariances", "ends"]),
         "slam": (
             {"graph": "toy.npz", "estimated": q, "predicted": q, "measured": q, "pings": points},
             ["rows", "trajectories", "consistency", "map-thinning"],
+        ),
+        "close": (
+            {"graph": "toy.npz", "poses": points, "estimated": q, "predicted": q, "measured": q, "pings": points},
+            ["rows", "closed", "closures"],
         ),
         "stress": ({"graph": "toy.npz", "estimated": q, "predicted": q}, ["rows", "gate"]),
     }[name]

@@ -15,6 +15,7 @@ from pointnetkl.registration.covariance import label_table, table
 from pointnetkl.reporting import report, results
 from pointnetkl.reporting.slam import figures as slam_figures
 from pointnetkl.slam.benchmark import schemas as slam_schemas
+from pointnetkl.slam.closing import schemas as closing_schemas
 from pointnetkl.slam.closures import graph_construction
 from pointnetkl.slam.consistency import consistency_map
 from pointnetkl.slam.consistency import schemas as consistency_schemas
@@ -122,6 +123,9 @@ def lose_track(root: Path, name: str) -> None:
         (f"slam/{name}", slam_schemas.ROWS),
         (f"slam/{name}_trajectories", slam_schemas.TRAJECTORIES),
         (f"slam/{name}_map_thinning", consistency_schemas.THINNING),
+        (f"closing/{name}", closing_schemas.ROWS),
+        (f"closing/{name}_closed", closing_schemas.POSES),
+        (f"closing/{name}_closures", closing_schemas.CLOSURES),
         (f"robustness/{name}", robust_schemas.ROWS),
         (f"robustness/{name}_gate", robust_schemas.GATE),
     ):

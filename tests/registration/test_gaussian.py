@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.registration.covariance.gaussian import CovarianceError
@@ -169,3 +170,10 @@ def test_the_axis_of_a_pose_s_covariance_is_that_of_its_position():
     labels, q = (np.tile(np.diag([0.0, 0.0, 50.0]), (2, 1, 1)) for _ in range(2))
     labels[:, :2, :2], q[:, :2, :2] = along(0, 5), along(15, 20)
     assert np.rad2deg(gaussian.axis_error(labels, q)) == pytest.approx(15)
+
+
+def test_the_log_likelihood_is_the_logarithm_of_the_density():
+    q = np.array([[[2.0, 0.6], [0.6, 0.5]], [[1e-4, 0.0], [0.0, 9.0]]])
+    errors = RNG.normal(size=(2, 5, 2))
+    expected = [stats.multivariate_normal.logpdf(e, np.zeros(2), p) for e, p in zip(errors, q, strict=True)]
+    assert gaussian.log_likelihood(errors, q) == pytest.approx(np.array(expected))

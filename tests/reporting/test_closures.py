@@ -1,18 +1,24 @@
 """The report's section on loop closures: errors drawn from Q are described rightly, surveys may close no loop."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
+from scipy import stats
 
+from pointnetkl.registration.covariance import table
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closure_numbers
 from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.closures import words as closure_words
 from pointnetkl.reporting.closures.numbers import Closures
-from pointnetkl.reporting.results import GOLD
+from pointnetkl.reporting.results import GOLD, Folders, Labels, ResultsError
 from pointnetkl.slam.closures import schemas as calibrate_schemas
+from pointnetkl.workflow import artifacts, study
 
 SUBMAPS, DRAWS = 60, 60
 DATASETS = {name: {"simulated": True} for name in ("a", "b", "mine")}
@@ -32,7 +38,7 @@ def drawn_closures(seed: int, sigma: float = 1.0, count: int = SUBMAPS, m: int =
     errors = {"error": sigma * placed if truth else np.nan * placed, "gt_error": sigma * placed, "placed_error": placed}
     for kind, e in errors.items():
         rows = rows.assign(**{f"{kind}_{unit}": e[:, i] for i, unit in enumerate(("x_m", "y_m", "w_rad")[:m])})
-    known = {"monte_carlo": 1.0, "split": 4.0, "pair": sigma**2}
+    known = {"monte_carlo": 1.0, "split": 4.0, "measured_pair": sigma**2}
     return Closures(rows, {name: dict(enumerate(factor * q)) for name, factor in known.items()})
 
 
@@ -66,7 +72,7 @@ def test_errors_of_the_map_do_not_count_in_placed_registrations():
     result = closure_numbers.calibrations({"a": drawn_closures(1, sigma=3.0)})["a"]
     assert result[GOLD]["nees"] == pytest.approx(9, rel=0.05)
     assert result[GOLD]["placed_nees"] == pytest.approx(1, abs=0.05)
-    assert result["pair"]["nees"] == pytest.approx(1, abs=0.05)
+    assert result["measured_pair"]["nees"] == pytest.approx(1, abs=0.05)
 
 
 def test_a_factor_found_on_one_survey_makes_the_other_one_right_if_both_are_wrong_alike():
@@ -101,7 +107,7 @@ def test_ratios_are_of_standard_deviations():
     assert len(closure_numbers.ratios(closures, GOLD)) == SUBMAPS
     assert closure_numbers.ratios(closures, GOLD)["worst_ratio"].to_numpy() == pytest.approx(3.0)
     longer = {number: q @ np.diag([4.0, 1.0]) for number, q in dict.fromkeys(range(SUBMAPS), np.eye(2)).items()}
-    squeezed = Closures(closures.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "pair": longer})
+    squeezed = Closures(closures.rows, {GOLD: dict.fromkeys(range(SUBMAPS), np.eye(2)), "measured_pair": longer})
     result = closure_numbers.ratios(squeezed, GOLD)
     assert result["ratio"].to_numpy() == pytest.approx(np.sqrt(5 / 2))
     assert result["worst_ratio"].to_numpy() == pytest.approx(2)
@@ -118,14 +124,14 @@ def one_bias(against: str = "truth") -> Closures:
     ends = bias[closures.rows["submap"]] + rng.normal(0, 1e-3, (len(closures.rows), 2))
     rows = closures.rows.assign(placed_error_x_m=ends[:, 0], placed_error_y_m=ends[:, 1])
     pair = dict(enumerate(bias[:, :, None] * bias[:, None, :] + 1e-6 * np.eye(2)))
-    return Closures(rows, {**closures.covariances, "pair": pair})
+    return Closures(rows, {**closures.covariances, "measured_pair": pair})
 
 
 def test_a_q_of_rank_one_is_as_wide_as_its_error_and_not_as_its_short_axis():
     closures = one_bias()
     result = closure_numbers.ratios(closures, GOLD)
     shares = [
-        np.sqrt(np.linalg.det(closures.covariances["pair"][n]) / np.linalg.det(closures.covariances[GOLD][n]))
+        np.sqrt(np.linalg.det(closures.covariances["measured_pair"][n]) / np.linalg.det(closures.covariances[GOLD][n]))
         for n in range(SUBMAPS)
     ]
     assert np.median(np.sqrt(shares)) < 0.5  # by determinants, though the labels describe these errors rightly
@@ -137,7 +143,8 @@ def test_with_yaw_ratios_are_of_positions():
     closures = drawn_closures(1, m=3)
     turned = {number: q * np.diag([1.0, 1.0, 1e4]) for number, q in closures.covariances[GOLD].items()}
     closures = Closures(
-        closures.rows, {GOLD: dict.fromkeys(turned, np.eye(3)), "pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))}
+        closures.rows,
+        {GOLD: dict.fromkeys(turned, np.eye(3)), "measured_pair": dict.fromkeys(turned, np.diag([4, 4, 1e6]))},
     )
     result = closure_numbers.ratios(closures, GOLD)
     assert result[["ratio", "worst_ratio"]].to_numpy() == pytest.approx(2.0)
@@ -206,3 +213,100 @@ def test_bins_of_errors_drawn_from_q_lie_on_the_line():
     assert len(points) == 8
     assert points[:, 1] == pytest.approx(points[:, 0], rel=0.1)
     assert closure_figures.binned(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0, 2)
+
+
+def with_ends(closures: Closures, factor: float = 1.0) -> Closures:
+    """Return closures whose placed registrations have each the label's Q, times a factor, as methods pair and map."""
+    q = factor * np.array([closures.covariances[GOLD][number] for number in closures.rows["submap"]])
+    ends = closures.rows.assign(**table.to_columns(q))
+    return Closures(closures.rows, closures.covariances, {"pair": ends, "map": ends})
+
+
+@pytest.mark.parametrize("m", [2, 3])
+def test_the_log_likelihood_is_that_of_the_errors_under_their_own_covariances(m: int):
+    closures = with_ends(drawn_closures(1, m=m))
+    result = closure_numbers.calibrations({"a": closures})["a"]
+    errors = closures.errors("placed_error")
+    densities = [
+        stats.multivariate_normal.logpdf(error, np.zeros(m), closures.covariances[GOLD][number])
+        for error, number in zip(errors, closures.rows["submap"], strict=True)
+    ]
+    for method in (GOLD, "pair", "map"):
+        assert result[method]["placed_log_likelihood"] == pytest.approx(np.mean(densities))
+        low, high = result[method]["placed_log_likelihood_ci95"]
+        assert low < np.mean(densities) < high
+        assert result[method]["placed_median_m"] == pytest.approx(np.median(np.hypot(*errors[:, :2].T)))
+    assert result["split"]["placed_log_likelihood"] < result[GOLD]["placed_log_likelihood"]
+    assert "nees" not in result["pair"]  # of the graph's own registrations it has no covariance
+
+
+def test_birge_s_ratio_is_what_sigmas_are_too_small_by():
+    result = closure_numbers.calibrations({"a": with_ends(drawn_closures(1, sigma=3.0), 0.25)})["a"]
+    assert result[GOLD]["birge"] == pytest.approx(3, rel=0.03)
+    assert result[GOLD]["placed_birge"] == pytest.approx(1, rel=0.03)
+    assert result["pair"]["placed_birge"] == pytest.approx(2, rel=0.03)
+
+
+def test_split_is_recalibrated_by_what_the_other_surveys_ask_for():
+    surveys = {"a": drawn_closures(1), "b": drawn_closures(2)}
+    result = closure_numbers.calibrations(surveys)["b"]
+    assert result["split"]["placed_nees"] == pytest.approx(0.25, rel=0.05)  # split is four times the labels
+    assert result["split_recalibrated"]["placed_nees"] == pytest.approx(1, rel=0.05)
+    assert result["split_recalibrated"]["placed_log_likelihood"] == pytest.approx(
+        result[GOLD]["placed_log_likelihood"], abs=0.01
+    )
+    for others in ({}, {"a": drawn_closures(1, truth=False)}, {"a": drawn_closures(1, count=0)}):
+        assert "split_recalibrated" not in closure_numbers.calibrations({"b": surveys["b"], **others})["b"]
+
+
+def test_the_table_begins_with_the_log_likelihood_and_the_page_says_it():
+    surveys = {name: with_ends(drawn_closures(seed)) for seed, name in enumerate(("a", "b"))}
+    result = numbers(surveys)
+    frame = closure_tables.every(result, DATASETS)["calibration_lc"][0].frame
+    assert list(frame.columns[:7]) == [
+        *("survey", "simulated", "against", "method"),
+        *("placed_log_likelihood", "ci_low", "ci_high"),
+    ]
+    assert set(frame["method"]) == {GOLD, "split", "measured_pair", "split_recalibrated", "pair", "map"}
+    assert frame[frame["method"] == "pair"]["nees"].isna().all()
+    assert frame["placed_birge"].notna().all()
+    (likelihoods,) = (text for text in paragraphs(result, {}) if text.startswith("Mean log likelihood"))
+    assert "measured_pair" not in likelihoods
+    assert likelihoods.count("by MAP") == 2
+    assert len(dict(closure_figures.every(frame, surveys))) == 3
+
+
+def read(folder: Path, ends: pd.DataFrame, schema: pa.Schema = calibrate_schemas.ENDS) -> Closures:
+    """Return what the report reads of two registrations of a test survey, and these ends."""
+    own = folder / "test/borno_8"
+    rows = pd.DataFrame(1.0, [0, 1], calibrate_schemas.CLOSURES.names)
+    rows = rows.assign(survey="borno_8", draw=0, submap=[3, 4], targets=1, converged=True)
+    artifacts.write_table(own / "closures.parquet", rows, calibrate_schemas.CLOSURES, {})
+    artifacts.write_table(own / "closure_covariances.parquet", table.SCHEMA.empty_table().to_pandas(), table.SCHEMA, {})
+    artifacts.write_table(own / "closure_ends.parquet", ends, schema, {})
+    folders = Folders(folder, folder, folder, study.read(Path(__file__).parents[2] / "params.yaml"))
+    labels = Labels(np.array([3, 4]), np.array(2 * [np.eye(2)]), np.ones(2), np.zeros(2, bool), pd.DataFrame(), {})
+    return closure_numbers.read(folders, "borno_8", labels, SimpleNamespace(covariances={}))
+
+
+def two_ends(submaps: tuple[int, int]) -> pd.DataFrame:
+    """Return two ends of method pair with errors of a metre."""
+    ends = pd.DataFrame(1.0, [0, 1], calibrate_schemas.ENDS.names)
+    return ends.assign(survey="borno_8", draw=0, submap=submaps, method="pair", q_xy_m2=0.0)
+
+
+def test_ends_are_read_by_method(tmp_path: Path):
+    closures = read(tmp_path, two_ends((3, 4)))
+    errors, q = closures.described("pair", "placed_error")
+    assert (errors == 1).all()
+    assert (q == np.eye(2)).all()
+    assert closures.nodes("pair").tolist() == [3, 4]
+    assert len(closures.described("pair")[0]) == 0
+
+
+def test_ends_of_other_registrations_and_of_another_form_are_refused_in_a_sentence(tmp_path: Path):
+    with pytest.raises(ResultsError, match=r"closure_ends.parquet: has registrations that closures.parquet lacks"):
+        read(tmp_path, two_ends((3, 5)))
+    short = pa.schema([calibrate_schemas.ENDS.field(name) for name in calibrate_schemas.ENDS.names[:-1]])
+    with pytest.raises(artifacts.ArtifactError, match=r"closure_ends.parquet.*q_yy_m2"):
+        read(tmp_path, two_ends((3, 4)).drop(columns="q_yy_m2"), short)

@@ -113,3 +113,19 @@ def test_the_floor_softens_the_divergence_of_tiny_labels():
     label, q = 1e-5 * np.eye(2)[None], 1e-2 * np.eye(2)[None]
     summary = intervals.kl_summary(label, q, 0.01, draws(1))
     assert summary["mean"] < 0.2 < summary["mean_floor0"]
+
+
+def test_an_interval_of_clustered_values_covers_though_clusters_have_other_sizes():
+    rng, right = np.random.default_rng(0), 0
+    cluster = np.repeat(np.arange(30), rng.integers(2, 12, 30))
+    for _ in range(400):
+        values = rng.normal(size=30)[cluster] + rng.normal(size=len(cluster))
+        low, high = intervals.clustered(values, cluster)
+        right += low < 0 < high
+    assert 0.92 < right / 400 < 0.98
+
+
+@pytest.mark.parametrize("values", [np.arange(4.0), np.full(6, 2.7), np.zeros(6), np.full(6, np.nan), np.empty(0)])
+def test_few_clusters_or_equal_ones_have_no_interval(values: np.ndarray):
+    cluster = np.arange(len(values)) if len(values) == 6 else np.arange(len(values)) % 2
+    assert intervals.clustered(values, cluster) is None

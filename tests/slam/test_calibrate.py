@@ -4,7 +4,6 @@ import dataclasses
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,7 @@ from pointnetkl.models import pointnetkl as network
 from pointnetkl.registration import gicp, monte_carlo
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import errors as closure_errors
-from pointnetkl.slam.closures import loop_closure, terrain
+from pointnetkl.slam.closures import loop_closure, placed, terrain
 from pointnetkl.slam.closures import schemas as closure_schemas
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
@@ -28,12 +27,11 @@ from toy_survey import REGISTRATION, SETTINGS, SPACING, graph
 ROOT = Path(__file__).parents[2]
 LABEL = monte_carlo.Settings(2, "same", 1.0, 0.02, 0)
 CHOSEN = closure_errors.Settings(5, 60)
-Measured = tuple[pd.DataFrame, pd.DataFrame]
 
 
 def measure(
     survey: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
-) -> Measured:
+) -> closure_errors.Measured:
     """Return the tables of a toy survey."""
     setup = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration)
     return closure_errors.measure(survey[1], survey[0], dataclasses.replace(CHOSEN, runs=runs), setup)
@@ -46,7 +44,7 @@ def toy() -> tuple[list[submap.Submap], SurveyGraph]:
 
 
 @pytest.fixture(scope="module")
-def measured(toy: tuple[list[submap.Submap], SurveyGraph]) -> Measured:
+def measured(toy: tuple[list[submap.Submap], SurveyGraph]) -> closure_errors.Measured:
     """Its tables."""
     return measure(toy)
 
@@ -64,9 +62,9 @@ def size(q: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_of_them(
-    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: closure_errors.Measured
 ):
-    pair, split = by_submap(measured[1], "pair"), by_submap(measured[1], "split")
+    pair, split = by_submap(measured[1], "measured_pair"), by_submap(measured[1], "split")
     for number, q in pair.items():
         rng = np.random.default_rng(1)
         same = monte_carlo.covariance(monte_carlo.errors(toy[0][number], 60, rng, LABEL, REGISTRATION).errors)
@@ -74,7 +72,7 @@ def test_another_pass_is_found_worse_than_the_very_points_and_better_than_half_o
 
 
 def test_there_is_a_row_for_each_registration_of_each_draw(
-    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: closure_errors.Measured
 ):
     rows, graph_ = measured[0], toy[1]
     assert list(rows.columns) == closure_schemas.CLOSURES.names
@@ -84,7 +82,7 @@ def test_there_is_a_row_for_each_registration_of_each_draw(
         expected = survey_graph.registration_errors(closures, graph_.truth)
         assert of_draw[["error_x_m", "error_y_m"]].to_numpy() == pytest.approx(expected)
     assert rows["overlap"].between(SETTINGS.coverage, 1).all()
-    assert set(by_submap(measured[1], "pair")) == set(rows["submap"])
+    assert set(by_submap(measured[1], "measured_pair")) == set(rows["submap"])
 
 
 def test_a_placed_registration_errs_as_the_graph_s_does_where_gt_is_the_truth():
@@ -92,7 +90,7 @@ def test_a_placed_registration_errs_as_the_graph_s_does_where_gt_is_the_truth():
     true = dataclasses.replace(graph_, gt=graph_.truth)
     starts = [loop_closure.starts("toy", submaps, SETTINGS, 2, draw) for draw in range(2)]
     draws = tuple(loop_closure.close(submaps, graph_.truth, start, SPACING, SETTINGS, REGISTRATION) for start in starts)
-    rows, _ = measure((submaps, dataclasses.replace(true, draws=draws)), runs=4)
+    rows, _, _ = measure((submaps, dataclasses.replace(true, draws=draws)), runs=4)
     first = rows[rows["submap"] == rows["submap"].min()]  # its targets have not been registered themselves
     for axis in "xy":
         assert first[f"error_{axis}_m"].to_numpy() == pytest.approx(
@@ -105,7 +103,7 @@ def test_a_wrong_heading_errs_by_its_lever_to_the_common_ground(toy: tuple[list[
     submaps, graph_ = toy
     gt = graph_.truth.copy()
     gt[-1] = gt[-1] @ pose.matrix(np.zeros(3), 0.01)
-    rows, _ = measure((submaps, dataclasses.replace(graph_, gt=gt)), runs=4)
+    rows, _, _ = measure((submaps, dataclasses.replace(graph_, gt=gt)), runs=4)
     by_submap = rows.groupby("submap")["heading_m"].first()
     # the line before is 10 m away: the middle of what both have is 5 m to the side, but for cells of 4 m
     assert by_submap.iloc[-1] == pytest.approx(0.01 * 5, rel=0.15)
@@ -115,25 +113,27 @@ def test_a_wrong_heading_errs_by_its_lever_to_the_common_ground(toy: tuple[list[
 
 def test_without_a_truth_only_gt_tells_errors(toy: tuple[list[submap.Submap], SurveyGraph]):
     submaps, graph_ = toy
-    rows, _ = measure((submaps, dataclasses.replace(graph_, truth=np.full_like(graph_.truth, np.nan))), runs=4)
+    rows, _, _ = measure((submaps, dataclasses.replace(graph_, truth=np.full_like(graph_.truth, np.nan))), runs=4)
     assert rows[["error_x_m", "given_m", "heading_m"]].isna().all(axis=None)
     assert rows[["gt_error_x_m", "placed_error_x_m"]].notna().all(axis=None)
 
 
 def test_with_yaw_there_is_its_error_too():
     with_yaw = dataclasses.replace(REGISTRATION, dof="xyyaw")
-    rows, covariances = measure(graph(registration=with_yaw), with_yaw)
+    rows, covariances, ends = measure(graph(registration=with_yaw), with_yaw)
     assert list(rows.columns) == closure_schemas.schema(3).names
     assert 0 < rows["placed_error_w_rad"].abs().max() < 0.05
-    for q in by_submap(covariances, "pair").values():
+    for q in by_submap(covariances, "measured_pair").values():
         assert q.shape == (3, 3)
         assert np.sqrt(q[2, 2]) < 0.02
+    assert set(ends["method"]) == {"pair", "drpm", "map"}  # the misfit's region has no yaw
+    assert list(ends.columns) == closure_schemas.ends_schema(3).names
     # nothing is said of the error that a registration without yaw would have
     assert rows["heading_m"].isna().all()
 
 
 def test_the_number_of_workers_does_not_count(
-    toy: tuple[list[submap.Submap], SurveyGraph], measured: Measured, monkeypatch: pytest.MonkeyPatch
+    toy: tuple[list[submap.Submap], SurveyGraph], measured: closure_errors.Measured, monkeypatch: pytest.MonkeyPatch
 ):
     for workers in ("1", "3"):
         monkeypatch.setenv("POINTNETKL_WORKERS", workers)
@@ -142,8 +142,9 @@ def test_the_number_of_workers_does_not_count(
 
 
 def test_a_survey_that_closes_no_loop_has_empty_tables():
-    rows, covariances = measure(graph(lines=1), runs=4)
-    assert len(rows) == len(covariances) == 0
+    rows, covariances, ends = measure(graph(lines=1), runs=4)
+    assert len(rows) == len(covariances) == len(ends) == 0
+    assert list(ends.columns) == closure_schemas.ENDS.names
     assert list(rows.columns) == closure_schemas.CLOSURES.names
     assert list(covariances.columns) == table.SCHEMA.names
 
@@ -176,14 +177,16 @@ def test_where_no_placed_registration_matches_q_ij_is_the_label_by_halves(
     toy: tuple[list[submap.Submap], SurveyGraph], monkeypatch: pytest.MonkeyPatch
 ):
     alone = toy[1].number[toy[1].closures.node[0]]
-    errors = closure_errors._errors
+    there = toy[1].truth[toy[1].closures.node[0]]
+    register = placed.Placed.register
 
-    def lost(source: submap.Submap, *rest: Any) -> np.ndarray:
-        return errors(source, *rest) * (np.nan if source.number == alone else 1.0)
+    def lost(self: placed.Placed, starts: np.ndarray) -> list[placed.End | None]:
+        return [None for _ in starts] if np.array_equal(self.T_map_source, there) else register(self, starts)
 
-    monkeypatch.setattr(closure_errors, "_errors", lost)
-    _, covariances = measure(toy, runs=4)
-    pair, split = by_submap(covariances, "pair"), by_submap(covariances, "split")
+    monkeypatch.setattr(placed.Placed, "register", lost)
+    _, covariances, ends = measure(toy, runs=4)
+    assert alone not in set(ends["submap"])
+    pair, split = by_submap(covariances, "measured_pair"), by_submap(covariances, "split")
     assert set(pair) == set(split)
     assert (pair[alone] == split[alone]).all()
     assert sum((pair[number] == split[number]).all() for number in pair) == 1
@@ -209,7 +212,15 @@ def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps
     settings = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)
     (folder / "mine.pt").write_bytes(model_file.to_bytes("pointnetkl", network.PointNetKL(settings), 0.01, {}))
     command += ["--graph", "graph.npz", "--submaps", "submaps.parquet", "--model", "mine.pt"]
-    return [*command, "--closures", "out/toy.parquet", "--covariances", "out/toy_covariances.parquet"]
+    return [
+        *command,
+        "--closures",
+        "out/toy.parquet",
+        "--covariances",
+        "out/toy_covariances.parquet",
+        "--ends",
+        "out/toy_ends.parquet",
+    ]
 
 
 @pytest.mark.slow
@@ -218,7 +229,7 @@ def test_the_stage_writes_both_tables(toy: tuple[list[submap.Submap], SurveyGrap
     rows = artifacts.read_table(tmp_path / "out/toy.parquet", closure_schemas.CLOSURES)
     covariances = artifacts.read_table(tmp_path / "out/toy_covariances.parquet", table.SCHEMA)
     assert len(rows) == sum(len(closures.node) for closures in toy[1].draws)
-    assert set(covariances["method"]) == {"split", "pair", "mine_overlap"}
+    assert set(covariances["method"]) == {"split", "measured_pair", "mine_overlap"}
 
 
 def test_submaps_of_another_graph_are_refused_in_one_sentence(

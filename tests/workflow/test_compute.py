@@ -120,3 +120,18 @@ def test_workers_end_when_their_parent_is_killed():
     parent.wait()
     assert len(children) >= 3
     assert psutil.wait_procs(children, timeout=20)[1] == []
+
+
+def test_after_an_error_no_thread_begins_another_item(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("POINTNETKL_WORKERS", "1")
+    begun = []
+
+    def work(item: int) -> None:
+        begun.append(item)
+        if item == 0:
+            raise ValueError("the first is broken")
+        time.sleep(0.02)
+
+    with pytest.raises(ValueError, match="the first is broken"):
+        compute.in_threads(work, range(200), "work")
+    assert len(begun) < 10

@@ -29,7 +29,7 @@ def register(source: Cloud, target: Cloud, settings: gicp.Settings) -> tuple[SE2
     matches (Segal 2009, Eq. 2), by Gauss and Newton.
     """
     tree, T, m = cKDTree(target.points), SE2.identity(), settings.dimensions
-    C_source, C_target = (_covariances(cloud.normals, settings.plane_epsilon) for cloud in (source, target))
+    C_source, C_target = (covariances(cloud.normals, settings.plane_epsilon) for cloud in (source, target))
     lever = np.sqrt(np.mean(np.sum(source.points[:, :2] ** 2, axis=1)))  # metres that a typical point moves per radian
     for _ in range(settings.max_iterations):
         R, moved = T.to_matrix()[:3, :3], T.act(source.points)
@@ -37,7 +37,7 @@ def register(source: Cloud, target: Cloud, settings: gicp.Settings) -> tuple[SE2
         near = distance < settings.max_distance_m
         d = target.points[match[near]] - moved[near]
         W = np.linalg.inv(C_target[match[near]] + R @ C_source[near] @ R.T)
-        J = _jacobian(source.points[near] @ R.T)[:, :, :m]
+        J = jacobian(source.points[near] @ R.T)[:, :, :m]
         information = np.einsum("nki,nkl,nlj->ij", J, W, J)
         step = np.zeros(3)
         step[:m] = np.linalg.solve(information, np.einsum("nki,nkl,nl->i", J, W, d))
@@ -88,8 +88,9 @@ def normals(points: np.ndarray, lists: np.ndarray) -> np.ndarray:
     return np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
 
 
-def _covariances(normals: np.ndarray, epsilon: float) -> np.ndarray:
-    # C = V diag(epsilon, 1, 1) V^T, as Segal 2009 writes it: any two directions in the plane will do
+def covariances(normals: np.ndarray, epsilon: float) -> np.ndarray:
+    """Return C = V diag(epsilon, 1, 1) V^T (n, 3, 3) of unit normals (n, 3), as Segal 2009 writes it."""
+    # any two directions in the plane will do
     other = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
     u = np.cross(normals, other)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -97,8 +98,8 @@ def _covariances(normals: np.ndarray, epsilon: float) -> np.ndarray:
     return np.asarray(v @ np.diag([epsilon, 1, 1]) @ v.transpose(0, 2, 1))
 
 
-def _jacobian(turned: np.ndarray) -> np.ndarray:
-    # what x, y and yaw move a turned point (n, 3) by, (n, 3, 3)
+def jacobian(turned: np.ndarray) -> np.ndarray:
+    """Return what x, y and yaw move points (n, 3) by, (n, 3, 3), that have been turned and not yet moved."""
     J = np.zeros((len(turned), 3, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1
     J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]

@@ -41,6 +41,22 @@ def interval(values: np.ndarray, draw: np.ndarray) -> tuple[float, float] | None
     return float(low), float(high)
 
 
+def clustered(values: np.ndarray, cluster: np.ndarray) -> tuple[float, float] | None:
+    """Return the 95 % t interval of the mean of values (n,), of which those of one cluster (n,) are not independent.
+
+    The variance is that of the clusters' sums (Liang and Zeger, Biometrika 73, 1986), with one degree of freedom less
+    than clusters. None of few clusters, or where they do not differ.
+    """
+    _, place = np.unique(cluster, return_inverse=True)
+    sums = np.bincount(place, values - values.mean()) if len(values) else np.empty(0)
+    count = len(sums)
+    if count < _FEWEST_DRAWS or not np.isfinite(sums).all() or np.abs(sums).max() <= 1e-12 * np.abs(values).sum():
+        return None
+    error = np.sqrt(count / (count - 1) * (sums**2).sum()) / len(values)
+    low, high = stats.t.interval(0.95, count - 1, values.mean(), error)
+    return float(low), float(high)
+
+
 def p_below(differences: np.ndarray, draw: np.ndarray) -> float | None:
     """Return the p-value of a t test over draws that the mean difference is below zero, against that it is not."""
     by_draw = means(differences, draw)

@@ -10,6 +10,10 @@ import pandas as pd
 
 from pointnetkl.registration.covariance import catalogue
 from pointnetkl.reporting import headline, page, results, terrain, text_table, words
+from pointnetkl.reporting.closing import figures as closing_figures
+from pointnetkl.reporting.closing import numbers as closing
+from pointnetkl.reporting.closing import tables as closing_tables
+from pointnetkl.reporting.closing.numbers import Closings
 from pointnetkl.reporting.closures import figures as closure_figures
 from pointnetkl.reporting.closures import numbers as closures
 from pointnetkl.reporting.closures import tables as closure_tables
@@ -40,7 +44,17 @@ from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.study import Study
 
 _IN_MARKDOWN = (  # tables for people; the others are for programs, and CSV alone
-    *("table_1", "table_2", "table_3", "table_4", "labels", "label_quality", "label_accuracy", "label_noise"),
+    *(
+        "table_1",
+        "table_2",
+        "table_3",
+        "table_4",
+        "table_5",
+        "labels",
+        "label_quality",
+        "label_accuracy",
+        "label_noise",
+    ),
     *("cleaning", "table_4_authors", "slam_variants"),
     *("terrain", "map_thinning", "calibration_lc", "robustness", "loop_gate"),
 )
@@ -68,6 +82,7 @@ class _Artifacts:
     runtime: Mapping[str, Any]
     variations: pd.DataFrame  # schema label_table.VARIATIONS
     map_thinning: pd.DataFrame  # schema slam_tables.THINNING
+    closings: Closings
     robustness: StressTest
     cleaned: Mapping[str, Mapping[str, Any]]  # survey_tables.read
 
@@ -131,6 +146,7 @@ def _read(folders: Folders, settings: Settings) -> _Artifacts:
         runtime=artifacts.read_json(folders.reports / "runtime.json"),
         variations=results.read_variations(folders),
         map_thinning=slam_tables.read_thinning(folders.reports / "slam", study.test),
+        closings=closing.read(folders.reports, study.test),
         robustness=robustness.read(folders.reports, study.test),
         cleaned=survey_tables.read(folders),
     )
@@ -169,6 +185,7 @@ def _numbers(folders: Folders, read: _Artifacts, settings: Settings) -> dict[str
         "slam": {name: slam.summarise(name, test, settings) for name, test in read.tests.items()},
         "slam_authors": {name: slam.authors(name, test, settings) for name, test in read.tests.items()},
         "slam_variants": {name: slam.variants(test) for name, test in read.tests.items()},
+        "closing": closing.summarise(read.closings.rows),
         **robustness.numbers(read.robustness),
     }
 
@@ -190,6 +207,7 @@ def _tables(numbers: Numbers, study: Study, read: _Artifacts) -> dict[str, list[
         **covariance_tables.every(numbers, datasets, read.training, read.runtime, methods),
         **closure_tables.every(numbers, datasets),
         **slam_tables.every(numbers, read.map_thinning, datasets),
+        **closing_tables.every(numbers, datasets),
         **robustness_tables.every(read.robustness, datasets),
     }
 
@@ -225,6 +243,7 @@ def _figures(
         slam_figures.every(judged, spacing, numbers),
         [("slam", method_plots.slam_error(frames["slam"]))],
         [("consistency", consistency.read_and_draw(folders, with_track))],
+        closing_figures.every(read.closings, read.tests),
         robustness_figures.every(read.robustness),
     )
     for figures in sections:

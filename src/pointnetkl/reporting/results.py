@@ -26,10 +26,11 @@ _SURVEY = ("pings.parquet", "soundings.parquet", "truth.parquet")
 _CUT = ("submaps.parquet", "poses.parquet", "clouds.npz", "labels.parquet", "errors.npz")
 _TESTED = (
     *("variations.parquet", "estimated.parquet", "predicted.parquet"),
-    *("graph.npz", "closures.parquet", "closure_covariances.parquet"),
+    *("graph.npz", "closures.parquet", "closure_covariances.parquet", "closure_ends.parquet"),
 )
 _SOLVED = (
     *("slam/{}.parquet", "slam/{}_trajectories.parquet", "slam/{}_consistency.tif", "slam/{}_map_thinning.parquet"),
+    *("closing/{}.parquet", "closing/{}_closed.parquet", "closing/{}_closures.parquet"),
     *("robustness/{}.parquet", "robustness/{}_gate.parquet"),
 )
 _TRAINED = ("train/{}.csv", "train/{}.json")

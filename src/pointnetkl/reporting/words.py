@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from pointnetkl.registration.covariance import catalogue
+from pointnetkl.reporting.closing import words as closing
 from pointnetkl.reporting.closures import words as closures
 from pointnetkl.reporting.covariances import words as covariances
 from pointnetkl.reporting.labels import words as labels
@@ -57,6 +58,7 @@ def sections(shown: Blocks, numbers: Numbers, copies: Mapping[str, str], runtime
         covariances.classes(shown),
         covariances.limits(copies, numbers["datasets"]),
         covariances.time(shown, runtime),
+        closing.section(shown, numbers["closing"]),
         *slam.sections(shown, numbers["slam"]),
         robustness.section(shown),
     ]

@@ -92,12 +92,16 @@ def in_threads(
 
 def _mapped(pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]) -> Iterator[Result]:
     waiting: collections.deque[Future[Result]] = collections.deque()
-    for item in items:
-        waiting.append(pool.submit(function, item))
-        if len(waiting) > _AHEAD * workers():
+    try:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > _AHEAD * workers():
+                yield waiting.popleft().result()
+        while waiting:
             yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
+    finally:  # after an error, nothing that has not begun begins
+        for future in waiting:
+            future.cancel()
 
 
 def progress(items: Iterable[Item], doing: str, total: int | None, unit: str = "submap") -> Iterable[Item]:

@@ -23,6 +23,7 @@ class StudySurvey:
     submap_length_m: float
     point_spacing_m: float
     label_runs: int  # registrations per Monte Carlo label
+    navigation: str = "gyrocompass"  # how it drifts: a name of section `navigation`, or a preset of slam.closing.drift
 
     def __post_init__(self) -> None:
         """Refuse lengths and counts that no submap can be cut with."""

@@ -15,7 +15,11 @@ HESSIAN_CALIBRATED, CENSI_CALIBRATED = "hessian_calibrated", "censi_calibrated"
 CONSTANT_TRAIN, STRUCTURE_TENSOR, CELLO = "constant_train", "structure_tensor", "cello"
 NETWORK, POINTNETKL = "network", "pointnetkl"
 UNSCALED, RANDOM_SPLIT = "pointnetkl_unscaled", "pointnetkl_random_split"
-SPLIT, PAIR = "split", "pair"  # measured on loop closures: the label by copy split, and Q_ij
+SPLIT, MEASURED_PAIR = "split", "measured_pair"  # by Monte Carlo: the label by copy split, and Q_ij of a loop closure
+SPLIT_RECALIBRATED = "split_recalibrated"  # times one factor, which the other test surveys ask for
+# Of one registration of a loop closure, from its own matches: a submap has as many as there are draws. The first three
+# are of GICP's end, the last of MAP's, whose errors are others.
+PAIR, MISFIT_REGION, DRPM, MAP = OF_REGISTRATIONS = ("pair", "misfit_region", "drpm", "map")
 OVERLAP = "_overlap"  # after a method's name: the method, asked about the ground that a loop closure's submaps share
 
 # What stands beside the methods in tables of SLAM, and no covariance made it.
@@ -71,7 +75,9 @@ METHODS = {
     UNSCALED: Entry(Family.NETWORKS, Stage.PREDICT),
     RANDOM_SPLIT: Entry(Family.NETWORKS, Stage.PREDICT),
     SPLIT: Entry(Family.OTHERS, Stage.CALIBRATE),
-    PAIR: Entry(Family.OTHERS, Stage.CALIBRATE),
+    SPLIT_RECALIBRATED: Entry(Family.OTHERS, Stage.CALIBRATE),
+    MEASURED_PAIR: Entry(Family.OTHERS, Stage.CALIBRATE),
+    **dict.fromkeys(OF_REGISTRATIONS, Entry(Family.CLOSED_FORMS, Stage.CALIBRATE)),
 }
 
 

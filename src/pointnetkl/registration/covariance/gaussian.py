@@ -85,6 +85,15 @@ def squared_mahalanobis(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.asarray((whitened**2).sum(axis=1))
 
 
+def log_likelihood(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return log N(e; 0, q) (n, L) in nats of errors (n, L, M) under covariances (n, M, M): more is better.
+
+    The unit of a density is that of the errors: differences between covariances of the same errors mean something.
+    """
+    log_volume = np.linalg.slogdet(2 * np.pi * q)[1]
+    return np.asarray(-0.5 * (squared_mahalanobis(errors, q) + log_volume[:, None]))
+
+
 def calibration(errors: np.ndarray, q: np.ndarray, floor: float = 0.0) -> dict[str, float]:
     """Return how well covariances q (n, M, M) describe errors (n, L, M) in metres; `floor` is added to q.
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pointnetkl.registration.covariance import catalogue
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
+from pointnetkl.registration.covariance.catalogue import MAP, MEASURED_PAIR, PAIR, SPLIT
 from pointnetkl.reporting import paper
 from pointnetkl.reporting.closures import numbers
 from pointnetkl.reporting.closures.numbers import Closures
@@ -22,7 +22,9 @@ _COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.RED, plot
 _METHODS = {
     GOLD: plots.GREEN,
     SPLIT: plots.BLUE,
-    PAIR: "black",
+    MEASURED_PAIR: "black",
+    PAIR: plots.ORANGE,
+    MAP: plots.PURPLE,
     catalogue.NETWORK: plots.RED,
     catalogue.CONSTANT: plots.GREY,
 }
@@ -43,7 +45,7 @@ def by_method(table: pd.DataFrame) -> Figure:
     """Draw each method's NEES and coverage on loop closures, beside placed registrations and held-out errors.
 
     `table` has a row per survey and method: nees, coverage_95, and both again with the prefixes placed_ and held_out_
-    (None where not known).
+    (None where not known). The best methods, by the column placed_log_likelihood, come first.
     """
     if table.empty:
         return _nothing()
@@ -132,7 +134,7 @@ def binned(errors: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _against_sigma(axes: Axes, closures: Closures, kind: str) -> None:
     for method, colour in _METHODS.items():
-        if method in closures.covariances and len(points := binned(*closures.described(method, kind))):
+        if method in closures.methods and len(points := binned(*closures.described(method, kind))):
             marker = "s" if len(points) == 1 else "."
             axes.plot(*points.T, marker=marker, color=colour, linewidth=1.3, label=_label(method))
     axes.set(xscale="log", yscale="log")
@@ -150,13 +152,13 @@ def _dumbbells(axes: Axes, rows: pd.DataFrame, heights: np.ndarray, column: str,
 
 
 def _order(table: pd.DataFrame) -> list[str]:
-    """Return the methods, the best first: by the mean distance of their coverage from 95 %, over all surveys."""
-    miss = (table["coverage_95"].astype(float) - 0.95).abs().groupby(table["method"]).mean()
-    return [str(method) for method in miss.sort_values(kind="stable").index]
+    """Return the methods, the best first: by the mean log likelihood of placed errors, over all surveys."""
+    likelihood = table["placed_log_likelihood"].astype(float).groupby(table["method"]).mean()
+    return [str(method) for method in likelihood.sort_values(ascending=False, kind="stable").index]
 
 
 def _label(method: str) -> str:
-    labels = {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", PAIR: "Q_ij (pair, an oracle)"}
+    labels = {GOLD: "label (monte_carlo)", SPLIT: "label, copy split", MEASURED_PAIR: "Q_ij (measured_pair, an oracle)"}
     return labels.get(method, method)
 
 

@@ -1,7 +1,7 @@
 """Numbers on loop closures: do the methods' covariances describe their errors? From the tables of stage calibrate."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -9,15 +9,16 @@ import pandas as pd
 from scipy import linalg, stats
 
 from pointnetkl.registration.covariance import gaussian, table
-from pointnetkl.registration.covariance.catalogue import GT, PAIR, SPLIT, TRUTH
+from pointnetkl.registration.covariance.catalogue import GT, MEASURED_PAIR, SPLIT, SPLIT_RECALIBRATED, TRUTH
 from pointnetkl.reporting import intervals
-from pointnetkl.reporting.results import GOLD, Folders, Labels, Test
-from pointnetkl.slam.closures.schemas import BUILT, CLOSURES, DESCRIPTION, PLACED, TO_GT, YAW
+from pointnetkl.reporting.results import GOLD, Folders, Labels, ResultsError, Test
+from pointnetkl.slam.closures.schemas import BUILT, CLOSURES, DESCRIPTION, ENDS, ENDS_YAW, PLACED, TO_GT, YAW
 from pointnetkl.workflow import artifacts
 
 FIRM = "below 0.1 m"  # the class of submaps that the ground holds best
 _SIGMAS_M = {FIRM: (0.0, 0.1), "0.1 to 1 m": (0.1, 1.0), "above 1 m": (1.0, np.inf)}
-_PLACED_MEASURES = ("nees", "nees_median", "coverage_95", "inflation")
+_PLACED_MEASURES = ("nees", "nees_median", "coverage_95", "inflation", "birge")
+_UNITS = ("x_m", "y_m", "w_rad")
 _GOAL = 0.95  # share of the errors that the 95 % ellipses should hold
 _MOST_M2, _LEAST_M2, _HALVINGS = 1e4, 1e-8, 24  # bounds and steps of the search for the variance to add
 
@@ -26,10 +27,16 @@ Errors = tuple[np.ndarray, np.ndarray]  # errors (r, M), and the covariance (r, 
 
 @dataclass(frozen=True)
 class Closures:
-    """A test survey's registrations, and each method's covariances (M, M) of their submaps."""
+    """A test survey's registrations, and covariances (M, M) of them: one a submap by most methods, by some one each."""
 
     rows: pd.DataFrame  # schema CLOSURES, of every draw of the graph
     covariances: Mapping[str, Mapping[int, np.ndarray]]  # by method and submap
+    ends: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # schema ENDS, by method of single registrations
+
+    @property
+    def methods(self) -> list[str]:
+        """Return the methods of both kinds."""
+        return [*self.covariances, *self.ends]
 
     @property
     def reference(self) -> str:
@@ -43,15 +50,29 @@ class Closures:
         same against GT. PLACED: errors of registrations from the same starts, with every submap at its true pose.
         """
         kind = TO_GT if kind == BUILT and self.reference == GT else kind
-        units = [unit for unit in ("x_m", "y_m", "w_rad") if f"{kind}_{unit}" in self.rows]
-        return self.rows[[f"{kind}_{unit}" for unit in units]].to_numpy(np.float64)
+        return _errors(self.rows, kind)
 
     def described(self, method: str, kind: str = BUILT) -> Errors:
-        """Return the known errors of the submaps for which a method has a covariance, and these covariances."""
+        """Return the known errors that a method has covariances of, and these covariances.
+
+        A method of single registrations has them of PLACED errors alone.
+        """
+        errors, q, _ = self._judged(method, kind)
+        return errors, q
+
+    def nodes(self, method: str) -> np.ndarray:
+        """Return the submap (r,) of each PLACED error that `described` returns: those of one are not independent."""
+        return self._judged(method, PLACED)[2]
+
+    def _judged(self, method: str, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if method in self.ends:
+            rows = self.ends[method] if kind == PLACED else self.ends[method].iloc[:0]
+            return _errors(rows, PLACED), table.to_matrices(rows), rows["submap"].to_numpy()
         covariances, errors = self.covariances[method], self.errors(kind)
-        rows = self.rows["submap"].isin(list(covariances)).to_numpy() & np.isfinite(errors).all(axis=1)
-        q = [covariances[number] for number in self.rows["submap"][rows]]
-        return errors[rows], np.array(q).reshape(-1, *2 * [errors.shape[1]])
+        known = self.rows["submap"].isin(list(covariances)).to_numpy() & np.isfinite(errors).all(axis=1)
+        submaps = self.rows["submap"].to_numpy()[known]
+        q = [covariances[number] for number in submaps.tolist()]
+        return errors[known], np.array(q).reshape(-1, *2 * [errors.shape[1]]), submaps
 
 
 def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
@@ -59,6 +80,7 @@ def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
 
     Raises:
         ArtifactError: a table is missing or damaged.
+        ResultsError: single registrations have covariances, and are not among the loop closures.
     """
     rows = artifacts.read_table(folders.product(survey, "closures.parquet"), CLOSURES, also=YAW)
     path = folders.product(survey, "closure_covariances.parquet")
@@ -68,7 +90,12 @@ def read(folders: Folders, survey: str, labels: Labels, test: Test) -> Closures:
     measured = artifacts.read_table(path, table.SCHEMA, also=table.YAW)
     for method, own in measured.groupby("method", sort=False):
         covariances[str(method)] = dict(zip(own["submap"].tolist(), table.to_matrices(own), strict=True))
-    return Closures(rows, covariances)
+    path = folders.product(survey, "closure_ends.parquet")
+    ends = artifacts.read_table(path, ENDS, also=ENDS_YAW)
+    registered = pd.MultiIndex.from_frame(rows[["survey", "draw", "submap"]])
+    if not pd.MultiIndex.from_frame(ends[["survey", "draw", "submap"]]).isin(registered).all():
+        raise ResultsError(f"{path}: has registrations that closures.parquet lacks; run dvc repro calibrate@{survey}")
+    return Closures(rows, covariances, {str(method): own for method, own in ends.groupby("method", sort=False)})
 
 
 def calibrations(surveys: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
@@ -78,9 +105,35 @@ def calibrations(surveys: Mapping[str, Closures]) -> dict[str, dict[str, Any]]:
     of a chi-squared variable, so that heavy tails do not move it; 1 is right. placed_* are the same measures of
     registrations with every submap at its true pose. inflation is the factor on Q, and added_m2 the variance added in x
     and y, with which the 95 % ellipses hold 95 % of the errors. coverage_95_inflated and coverage_95_added are this
-    survey's coverage with the factor and the variance that the other test surveys need.
+    survey's coverage with the factor and the variance that the other test surveys need. birge is the root of nees, by
+    which sigmas would be multiplied (Birge, Phys. Rev. 40, 1932).
+
+    placed_log_likelihood is the mean of log N(e; 0, Q), nats, with its 95 % interval by submap, and placed_median_m the
+    median size of these errors in x and y: MAP has errors of its own. Methods of single registrations have placed_*
+    alone. split_recalibrated is split with the factor that is most likely on the other test surveys.
     """
-    return {survey: dict(_by_method(survey, surveys)) for survey in surveys}
+    recalibrated = {survey: with_recalibrated(survey, surveys) for survey in surveys}
+    return {survey: dict(_by_method(survey, recalibrated)) for survey in surveys}
+
+
+def with_recalibrated(survey: str, surveys: Mapping[str, Closures]) -> Closures:
+    """Return a survey's closures with SPLIT_RECALIBRATED: SPLIT times one factor for all ground, in M dimensions.
+
+    No training survey closes a loop here, so the factor is that of the other test surveys whose truth is known: e^T
+    Q^-1 e / M, the mean over their placed errors e, which makes these most likely. Without such a survey there is none.
+    """
+    closures = surveys[survey]
+    others = [
+        other.described(SPLIT, PLACED)
+        for name, other in surveys.items()
+        if name != survey and SPLIT in other.covariances and len(other.rows) and other.reference == TRUTH
+    ]
+    if SPLIT not in closures.covariances or not sum(len(errors) for errors, _ in others):
+        return closures
+    errors, q = (np.concatenate(parts) for parts in zip(*others, strict=True))
+    factor = float(_squared(errors, q).mean()) / errors.shape[1]
+    own = {number: factor * q for number, q in closures.covariances[SPLIT].items()}
+    return replace(closures, covariances={**closures.covariances, SPLIT_RECALIBRATED: own})
 
 
 def ratios(closures: Closures, method: str) -> pd.DataFrame:
@@ -90,7 +143,7 @@ def ratios(closures: Closures, method: str) -> pd.DataFrame:
     direction where Q_i falls shortest. Determinants would mislead: a submap's error on its targets hardly depends on
     the start, so Q_ij is almost of rank one.
     """
-    single, pair = closures.covariances.get(method, {}), closures.covariances.get(PAIR, {})
+    single, pair = closures.covariances.get(method, {}), closures.covariances.get(MEASURED_PAIR, {})
     rows = closures.rows[(closures.rows["draw"] == 0) & closures.rows["submap"].isin(set(single) & set(pair))]
     both = [(pair[number][:2, :2], single[number][:2, :2]) for number in rows["submap"]]
     size = np.array([np.trace(q_ij) / np.trace(q_i) for q_ij, q_i in both])
@@ -121,7 +174,7 @@ def by_hold(closures: Closures) -> dict[str, dict[str, Any]]:
 
     The classes are of the root of Q_ij's trace in x and y.
     """
-    pair = closures.covariances.get(PAIR, {})
+    pair = closures.covariances.get(MEASURED_PAIR, {})
     sigma = closures.rows["submap"].map({number: float(np.sqrt(np.trace(q[:2, :2]))) for number, q in pair.items()})
     classes = {name: ((sigma >= low) & (sigma < high)).to_numpy(bool) for name, (low, high) in _SIGMAS_M.items()}
     return {name: _medians(closures, rows) for name, rows in classes.items() if rows.any()}
@@ -154,30 +207,45 @@ def _rank_correlation(a: pd.Series, b: pd.Series) -> float | None:
 def _by_method(survey: str, surveys: Mapping[str, Closures]) -> Iterator[tuple[str, dict[str, Any]]]:
     closures = surveys[survey]
     others = [other for name, other in surveys.items() if name != survey]
-    for method in closures.covariances:
+    for method in closures.methods:
         errors, q = closures.described(method)
-        if len(errors):
-            placed = _calibration(*closures.described(method, PLACED))
-            elsewhere = [other.described(method) for other in others if method in other.covariances]
+        if len(errors) or len(closures.nodes(method)):
+            elsewhere = [other.described(method) for other in others if method in other.methods]
             yield (
                 method,
                 {
+                    **_placed(closures, method),
                     **_calibration(errors, q),
-                    **{f"placed_{name}": placed.get(name) for name in _PLACED_MEASURES},
                     **_corrections(errors, q, [other for other in elsewhere if len(other[0])]),
                 },
             )
+
+
+def _placed(closures: Closures, method: str) -> dict[str, Any]:
+    errors, q = closures.described(method, PLACED)
+    measures = _calibration(errors, q)
+    likelihood = gaussian.log_likelihood(errors[:, None], q)[:, 0] if len(errors) else np.empty(0)
+    return {
+        "placed_log_likelihood": float(likelihood.mean()) if len(errors) else None,
+        "placed_log_likelihood_ci95": intervals.clustered(likelihood, closures.nodes(method)),
+        "placed_median_m": _median(np.hypot(*errors[:, :2].T)),
+        **{f"placed_{name}": measures.get(name) for name in _PLACED_MEASURES},
+    }
 
 
 def _calibration(errors: np.ndarray, q: np.ndarray) -> dict[str, float]:
     if not len(errors):
         return {}
     median = float(np.median(_squared(errors, q)) / stats.chi2.ppf(0.5, errors.shape[1]))
-    return {**gaussian.calibration(errors[:, None], q), "nees_median": median, "inflation": _inflation(errors, q)}
+    measures = gaussian.calibration(errors[:, None], q)
+    further = {"nees_median": median, "inflation": _inflation(errors, q), "birge": float(np.sqrt(measures["nees"]))}
+    return {**measures, **further}
 
 
 def _corrections(errors: np.ndarray, q: np.ndarray, elsewhere: Sequence[Errors]) -> dict[str, Any]:
     """Return the variance to add to Q here, and the coverage with what the other surveys' errors ask for."""
+    if not len(errors):
+        return {}
     numbers: dict[str, Any] = {"added_m2": _added(errors, q)}
     if elsewhere:
         others = [np.concatenate(parts) for parts in zip(*elsewhere, strict=True)]
@@ -205,6 +273,11 @@ def _added(errors: np.ndarray, q: np.ndarray) -> float | None:
         middle = (low + high) / 2
         low, high = (low, middle) if _coverage(errors, _widened(q, np.exp(middle))) >= _GOAL else (middle, high)
     return float(np.exp(high))
+
+
+def _errors(rows: pd.DataFrame, kind: str) -> np.ndarray:
+    names = [f"{kind}_{unit}" for unit in _UNITS if f"{kind}_{unit}" in rows]
+    return rows[names].to_numpy(np.float64)
 
 
 def _widened(q: np.ndarray, variance: float) -> np.ndarray:

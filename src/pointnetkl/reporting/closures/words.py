@@ -2,14 +2,20 @@
 
 from collections.abc import Mapping
 
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT, TRUTH
+from pointnetkl.registration.covariance import catalogue
+from pointnetkl.registration.covariance.catalogue import MAP, MEASURED_PAIR, PAIR, SPLIT, TRUTH
 from pointnetkl.reporting.closures.numbers import FIRM
 from pointnetkl.reporting.page import Section
 from pointnetkl.reporting.results import GOLD
 from pointnetkl.reporting.text_table import Blocks, Numbers, cell
 
 _GOAL = 0.95
-_NAMES = {GOLD: "labels", SPLIT: "labels of copy split", PAIR: "Q_ij"}
+_NAMES = {GOLD: "labels", SPLIT: "labels of copy split", MEASURED_PAIR: "Q_ij"}
+# What the sentence on likelihoods compares: no oracle, and of the labels' estimates the two that a reader asks for
+_LIKELIHOODS = (
+    *(GOLD, catalogue.CONSTANT, catalogue.NETWORK, SPLIT, catalogue.SPLIT_RECALIBRATED),
+    *(catalogue.MISFIT_REGION, catalogue.DRPM, PAIR, MAP),
+)
 
 
 def section(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> Section:
@@ -35,14 +41,26 @@ def section(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> Secti
             "A registration's error here is the mean of its edges' errors. The graph takes each edge by itself, and"
             " GT's errors of the single targets come on top of it, so every Q falls shorter there than here. Q is"
             " judged as it was made; stage slam adds slam.floor_m2 to it.",
-            "split is a label by copy split: two halves of one pass, from alternate pings. pair is Q_ij, from S_i and"
-            " its actual targets at their true poses, without added noise, because two passes have their own. Q_ij is"
-            " an oracle that has seen the truth, and its placed_* are circular: they are the same registrations from"
+            "split is a label by copy split: two halves of one pass, from alternate pings. split_recalibrated is split"
+            " times one factor for all ground. No stage closes loops of training surveys to fit it on, so each test"
+            " survey has the factor that is most likely on the other ones. measured_pair is Q_ij, from S_i and its"
+            " actual targets at their true poses, without added noise, because two passes have their own. Q_ij is an"
+            " oracle that has seen the truth, and its placed_* are circular: they are the same registrations from"
             " other starts, and most of these end at the same error. So Q_ij is little more than the square of that"
             " error: its size and direction mean something, its short axis nothing. ratio is sqrt(tr Q_ij / tr Q_i),"
             " and worst_ratio compares the standard deviations in the direction where Q_i falls shortest. Slopes of"
             " S_i that its targets do not have (outside) count in Q_i all the same. network_overlap is network asked"
             " about only those points of S_i that lie over its targets.",
+            "pair, misfit_region, drpm and map are of single registrations, from their own matches, so they have"
+            " placed_* alone. pair is Q of GICP's end with the start's true prior, map the same of an end that is"
+            " searched along normals with that prior (docs/closures.md); map's errors are those of its own ends."
+            " misfit_region is the practice of mbnavadjust: the region of offsets with under three times the least"
+            " misfit. drpm propagates the noise of normals into the Hessian of point-to-plane (Hatleskog and Alexis"
+            " 2024), and takes residuals for independent. placed_log_likelihood, of the errors under N(0, Q) in nats,"
+            " decides between methods: a Q that is far too large covers everything. More is better, and 1 nat is a"
+            " factor of 2.7 in the density at the truth. Its interval counts submaps, because registrations of one are"
+            " alike.",
+            *_likelihoods(calibrations, sizes),
             *_shares(sizes),
             *_causes(numbers["closures_by_hold"]),
             *_coverages(calibrations, sizes),
@@ -60,11 +78,37 @@ def section(shown: Blocks, numbers: Numbers, copies: Mapping[str, str]) -> Secti
             "inflation is the factor on Q, and added_m2 the variance added to it, with which its 95 % ellipses hold"
             " 95 % of this survey's errors. coverage_95_inflated and coverage_95_added are this survey's coverage with"
             " what the other test surveys need: such a correction carries over only where they are near 0.95."
-            " placed_inflation leaves GT's errors out.",
+            " placed_inflation leaves GT's errors out. birge is Birge's ratio, the root of nees: a factor on sigmas,"
+            " where inflation is one on variances and looks at the 95 % ellipse alone.",
             "Registrations of one submap in several draws, and of neighbours, share ground and map: they count as many"
             " but tell less. placed_* and Q_ij use the targets of the first draw that registers the submap.",
         ),
     )
+
+
+def _likelihoods(calibrations: Numbers, sizes: Numbers) -> list[str]:
+    """Return how likely the true errors of placed registrations are by method, and the two registrations' errors."""
+    surveys = []
+    for survey, methods in calibrations.items():
+        known = [method for method in _LIKELIHOODS if _likelihood(methods.get(method, {})) is not None]
+        if sizes[survey]["against"] == TRUTH and known:
+            nats = ", ".join(f"{method} {cell(_likelihood(methods[method]), 3)}" for method in known)
+            surveys.append(f"{survey}: {nats}{_medians(methods)}")
+    if not surveys:
+        return []
+    return [f"Mean log likelihood of the true placed errors, nats a closure: {'; '.join(surveys)}."]
+
+
+def _likelihood(calibration: Numbers) -> float | None:
+    likelihood: float | None = calibration.get("placed_log_likelihood")
+    return likelihood
+
+
+def _medians(methods: Numbers) -> str:
+    if PAIR not in methods or MAP not in methods:
+        return ""
+    gicp, map_ = (cell(methods[method]["placed_median_m"], 2) for method in (PAIR, MAP))
+    return f" (median error {gicp} m by GICP, {map_} m by MAP)"
 
 
 def _shares(sizes: Numbers) -> list[str]:
@@ -96,7 +140,7 @@ def _coverages(calibrations: Numbers, sizes: Numbers) -> list[str]:
     for survey, methods in calibrations.items():
         coverages = [
             f"{name} {_percent(methods[method]['coverage_95'])}"
-            f"{_placed(methods[method]) if method != PAIR and sizes[survey]['against'] == TRUTH else ''}"
+            f"{_placed(methods[method]) if method != MEASURED_PAIR and sizes[survey]['against'] == TRUTH else ''}"
             for method, name in _NAMES.items()
             if method in methods
         ]

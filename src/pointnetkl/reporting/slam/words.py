@@ -55,7 +55,7 @@ def _benchmark(shown: Blocks, slam: Mapping[str, Numbers]) -> Section:
         (
             "GT is navigation optimised with the Monte Carlo covariances, as in the paper, so it favours monte_carlo."
             " Where the truth is known (simulated surveys), draw conclusions from the errors against the truth; the row"
-            " gt has GT's own. pair (Q_ij) has seen the truth: it is an oracle and not a method.",
+            " gt has GT's own. measured_pair (Q_ij) has seen the truth: it is an oracle and not a method.",
             "Intervals over noises on the paper's one graph say nothing of another draw of its loop closures, and"
             " intervals over draws say nothing of another survey: terrain, layout, GT, and the edges' z, roll, pitch"
             " and yaw are the same in all draws. Few draws give wide intervals, and three are the least.",

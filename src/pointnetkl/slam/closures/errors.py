@@ -3,27 +3,28 @@
 A loop closure has two errors: that of its registration, and that of the ground it is registered to, which was put
 together from wrong poses. With all submaps at their true poses only the first remains. Q_ij of submap i on its targets
 j is the second moment of that error, as a label is of a submap and its copy. No noise is added for it, because two
-passes over the same ground have noise of their own.
+passes over the same ground have noise of their own. What the matches of a single registration tell of its own error is
+in `placed`.
 """
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from pointnetkl.registration import gicp, monte_carlo
-from pointnetkl.registration.covariance import table
-from pointnetkl.registration.covariance.catalogue import PAIR, SPLIT
+from pointnetkl.registration.covariance import gaussian, table
+from pointnetkl.registration.covariance.catalogue import MEASURED_PAIR, SPLIT
 from pointnetkl.registration.streams import Stream
-from pointnetkl.slam.closures import loop_closure, schemas
+from pointnetkl.slam.closures import loop_closure, placed, schemas
 from pointnetkl.slam.closures import terrain as closure_terrain
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.slam.graph.survey_graph import SurveyGraph
 from pointnetkl.surveys import pose
-from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow import compute
 from pointnetkl.workflow.errors import PointNetKLError
@@ -80,17 +81,24 @@ class ClosingNode:
 class _Measured:
     node: int
     description: dict[str, float]  # columns schemas.DESCRIPTION
-    placed: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
-    covariances: dict[str, np.ndarray]  # SPLIT and PAIR, (M, M)
+    errors: np.ndarray  # (draws, M) errors of the registrations with each draw's start; NaN without a match
+    judged: list[list[placed.Judged]]  # of each draw; empty where the draw does not register the node, or no match
+    covariances: dict[str, np.ndarray]  # SPLIT and MEASURED_PAIR, (M, M)
 
 
-def measure(
-    graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, setup: Setup
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return a row for each registration of each draw, and the covariances SPLIT and PAIR of each submap registered.
+class Measured(NamedTuple):
+    """The tables of a survey's loop closures."""
 
-    The rows have the columns of tables.schema; `submaps` are the graph's nodes. Where too few registrations of a submap
-    at its true pose had a match, its PAIR is its SPLIT: a draw may have closed a loop with it all the same.
+    rows: pd.DataFrame  # schemas.CLOSURES, one for each registration of each draw
+    covariances: pd.DataFrame  # of covariance.table: SPLIT and MEASURED_PAIR of each submap registered
+    ends: pd.DataFrame  # schemas.ENDS, one for each registration and method that judges a registration
+
+
+def measure(graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, setup: Setup) -> Measured:
+    """Return the errors of a graph's loop closures, and covariances of them; `submaps` are the graph's nodes.
+
+    Where too few registrations of a submap at its true pose had a match, its MEASURED_PAIR is its SPLIT: a draw may
+    have closed a loop with it all the same.
 
     Raises:
         ClosureErrorsError: the submaps are not those of the graph.
@@ -106,8 +114,12 @@ def measure(
     measured = compute.in_threads(measure_node, closing_nodes(graph), f"calibrate {graph.survey}")
     by_node = {node.node: node for node in measured}
     rows = [_rows(graph, draw, by_node) for draw in range(len(graph.draws))]
-    names = schemas.schema(setup.registration.dimensions).names
-    return pd.concat(rows, ignore_index=True)[names], _covariances(graph, measured, setup.registration.dimensions)
+    m = setup.registration.dimensions
+    return Measured(
+        pd.concat(rows, ignore_index=True)[schemas.schema(m).names],
+        _covariances(graph, measured, m),
+        _ends(graph, by_node, m),
+    )
 
 
 def true_poses(graph: SurveyGraph) -> np.ndarray:
@@ -135,7 +147,15 @@ def _measure(
     random = rng.normal(0.0, sigmas, (settings.runs, m))
     of_draws = [loop_closure.starts(graph.survey, [source], setup.graph, m, k)[0] for k in range(len(graph.draws))]
     centroid = source.points[:, :2].mean(axis=0) if m == 3 else None
-    errors = _errors(source, T[closing.node], targets, np.concatenate([random, of_draws]), centroid, setup)
+    there = placed.Placed(source, T[closing.node], targets, setup.spacing_m, setup.reach_m, setup.registration)
+    ends = there.register(np.concatenate([random, of_draws]))
+    errors = there.errors(ends)
+    closed = [closing.node in closures.node for closures in graph.draws]
+    judged = there.judge(
+        [end if closes else None for end, closes in zip(ends[settings.runs :], closed, strict=True)],
+        loop_closure.start_sigmas(setup.graph, m),
+        label.noise_sigma_m,
+    )
     cell = setup.graph.cell_factor * setup.spacing_m
     terrain, centre = closure_terrain.describe(source, T[closing.node], targets, cell, setup.registration)
     split = _split(source, label, settings.runs, setup)
@@ -143,17 +163,42 @@ def _measure(
         closing.node,
         terrain | _misplaced(graph, closing, centre, centroid),
         errors[settings.runs :],
-        {SPLIT: split, PAIR: _moment(errors[: settings.runs], split)},
+        judged,
+        {SPLIT: split, MEASURED_PAIR: _moment(errors[: settings.runs], split)},
     )
 
 
 def _covariances(graph: SurveyGraph, measured: Sequence[_Measured], dimensions: int) -> pd.DataFrame:
-    """Return the covariance table of SPLIT and PAIR."""
+    """Return the covariance table of SPLIT and MEASURED_PAIR."""
     frames = [table.from_matrices(graph.survey, SPLIT, [], np.empty((0, *2 * [dimensions])))]  # columns, if no node
-    for method in (SPLIT, PAIR):
+    for method in (SPLIT, MEASURED_PAIR):
         q = {int(graph.number[node.node]): node.covariances[method] for node in measured}
         frames += [table.from_matrices(graph.survey, method, q, np.array(list(q.values())))] if q else []
     return pd.concat(frames, ignore_index=True)
+
+
+def _ends(graph: SurveyGraph, by_node: Mapping[int, _Measured], dimensions: int) -> pd.DataFrame:
+    """Return the table of ENDS, by draw, node and method."""
+    rows = [
+        (draw, int(graph.number[node]), judged)
+        for draw, closures in enumerate(graph.draws)
+        for node in closures.node.tolist()
+        for judged in by_node[node].judged[draw]
+    ]
+    errors = np.array([judged.error for _, _, judged in rows]).reshape(-1, dimensions)
+    covariances = np.array([judged.covariance for _, _, judged in rows]).reshape(-1, *2 * [dimensions])
+    for (draw, number, judged), q in zip(rows, covariances, strict=True):
+        gaussian.check(q, f"{graph.survey}, submap {number}, draw {draw}, {judged.method}")
+    return pd.DataFrame(
+        {
+            "survey": np.full(len(rows), graph.survey, object),
+            "draw": np.array([draw for draw, _, _ in rows], np.int32),
+            "submap": np.array([number for _, number, _ in rows], np.int32),
+            "method": np.array([judged.method for _, _, judged in rows], object),
+            **{f"{schemas.PLACED}_{axis}": e for axis, e in zip(("x_m", "y_m", "w_rad"), errors.T, strict=False)},
+            **table.to_columns(covariances),
+        }
+    )[schemas.ends_schema(dimensions).names]
 
 
 def _split(source: Submap, label: monte_carlo.Settings, runs: int, setup: Setup) -> np.ndarray:
@@ -164,25 +209,6 @@ def _split(source: Submap, label: monte_carlo.Settings, runs: int, setup: Setup)
 def _moment(errors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     matched = errors[np.isfinite(errors[:, 0])]
     return monte_carlo.covariance(matched) if len(matched) > errors.shape[1] else otherwise
-
-
-def _errors(
-    source: Submap,
-    T_map_source: np.ndarray,
-    targets: Sequence[np.ndarray],
-    starts: np.ndarray,
-    centroid: np.ndarray | None,
-    setup: Setup,
-) -> np.ndarray:
-    """Return the errors (b, M) of a submap's registrations onto its targets, from `starts` (b, M) about its pose."""
-    cloud = pose.transform(T_map_source, source.points)
-    ground = loop_closure.Ground(np.concatenate(targets), cloud.mean(axis=0), setup.reach_m, setup.registration)
-    residual = np.full((len(starts), 4, 4), np.nan)
-    motions = [SE2.from_vector(start) for start in np.pad(starts, ((0, 0), (0, 3 - starts.shape[1])))]
-    for i, outcome in enumerate(ground.register_many(cloud, motions)):
-        if outcome is not None:
-            residual[i] = np.linalg.inv(outcome[0].act_on_pose(T_map_source)) @ T_map_source
-    return survey_graph.residual_errors(residual, None if centroid is None else np.tile(centroid, (len(residual), 1)))
 
 
 def _misplaced(
@@ -209,9 +235,9 @@ def _misplaced(
 def _rows(graph: SurveyGraph, draw: int, by_node: dict[int, _Measured]) -> pd.DataFrame:
     closures = graph.draws[draw]
     nodes = [by_node[node] for node in closures.node.tolist()]
-    placed = np.array([node.placed[draw] for node in nodes]).reshape(len(nodes), closures.start.shape[1])
+    of_placed = np.array([node.errors[draw] for node in nodes]).reshape(len(nodes), closures.start.shape[1])
     against_truth = survey_graph.registration_errors(closures, graph.truth)
-    errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), placed)
+    errors = (against_truth, survey_graph.registration_errors(closures, graph.gt), of_placed)
     axes = ("x_m", "y_m", "w_rad")
     return pd.DataFrame(
         {

@@ -61,11 +61,16 @@ def starts(
 
     Each `draw` has its own.
     """
-    sigma = np.sqrt(settings.prior_variance_m2)
-    sigmas = np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
+    sigmas = start_sigmas(settings, dimensions)
     key = zlib.crc32(survey.encode())
     seeds = ([settings.seed, key, draw, s.number] for s in submaps)
     return np.array([np.random.default_rng(seed).normal(0.0, sigmas) for seed in seeds])
+
+
+def start_sigmas(settings: Settings, dimensions: int) -> np.ndarray:
+    """Return the standard deviations (M,) of a perturbation, metres and radians."""
+    sigma = np.sqrt(settings.prior_variance_m2)
+    return np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
 
 
 def close(
@@ -125,25 +130,48 @@ class Ground:
         points = points[self._over_target(points, start)]
         if len(points) < self._registration.neighbours:
             return None
-        return self._register(gicp.prepare(points, self._registration), start)
+        return self.register_part(gicp.prepare(points, self._registration), start)
 
     def register_many(self, cloud: np.ndarray, starts: Iterable[SE2]) -> list[tuple[SE2, bool] | None]:
         """Return the result of `register` for each start, up to rounding, in less time."""
-        whole = gicp.prepare(cloud - self._origin, self._registration)
-        return [self._register_part(whole, start) for start in starts]
+        whole = self.prepare(cloud)
+        parts = ((self.part(whole, start), start) for start in starts)
+        return [None if part is None else self.register_part(part, start) for part, start in parts]
 
-    def _register_part(self, whole: gicp.Cloud, start: SE2) -> tuple[SE2, bool] | None:
+    @property
+    def target(self) -> gicp.Cloud:
+        """Return the ground as registrations take it, about the origin."""
+        return self._target
+
+    def prepare(self, cloud: np.ndarray) -> gicp.Cloud:
+        """Return a cloud (n, 3) of the map frame in the axes of the target."""
+        return gicp.prepare(cloud - self._origin, self._registration)
+
+    def part(self, whole: gicp.Cloud, start: SE2) -> gicp.Part | None:
+        """Return the points of a prepared cloud that lie over the ground at a start; None of fewer than neighbours."""
         near = self._over_target(whole.points, start)
         if near.sum() < self._registration.neighbours:
             return None
-        return self._register(gicp.part(whole, near, self._registration), start)
+        return gicp.part(whole, near, self._registration)
 
-    def _register(self, source: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
-        centre = self._target.centre
-        outcome = gicp.register(source, self._target, self._registration, start.from_centre(-centre[:2]))
+    def register_part(self, part: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
+        """Return the result of `register` for a part of the cloud that was taken at this start."""
+        outcome = gicp.register(part, self._target, self._registration, self.to_target(start))
         if outcome.matched_share == 0:
             return None
-        return outcome.T_target_source.from_centre((self._origin + centre)[:2]), outcome.converged
+        return self.to_map(outcome.T_target_source), outcome.converged
+
+    def to_target(self, motion: SE2) -> SE2:
+        """Return a motion about the origin as `registration` takes it: about the target's centre."""
+        return motion.from_centre(-self._target.centre[:2])
+
+    def to_map(self, T_target_source: SE2) -> SE2:
+        """Return a motion about the target's centre as one of the map frame."""
+        return T_target_source.from_centre((self._origin + self._target.centre)[:2])
+
+    def from_map(self, motion: SE2) -> SE2:
+        """Return a motion of the map frame as one about the target's centre."""
+        return motion.from_centre(-(self._origin + self._target.centre)[:2])
 
     def _over_target(self, points: np.ndarray, start: SE2) -> np.ndarray:
         # Points beyond the target's edge would match its border. On flat ground nothing counters them, and they drag a

@@ -1,0 +1,186 @@
+"""Errors of loop closures whose submaps lie where they truly do, and how well Q tells them: GICP's ends and MAP's.
+
+Every survey of `simulate` is sailed anew with other seeds of terrain and drift, and its lines drawn together until
+swaths overlap. A submap is the soundings of a stretch of track, thinned; it is moved by the mean error of its own
+navigation, so that what is left is the shape that drift gives it. Each is registered to the submaps of earlier lines
+from a start that is N(0, prior) off. `share` is the least share of the stiffness that is ground: weak below 0.5, held
+above 0.9. `force` is f^T S^-1 f / M at the true place: 1 where blocks tell all of the variance. `--drift none` sails
+with navigation that knows, and shows what of it is drift.
+"""
+# ruff: noqa: E402
+
+import os
+
+for library in ("OPENBLAS", "MKL", "NUMBA", "OMP"):
+    os.environ[f"{library}_NUM_THREADS"] = "1"
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
+from tqdm import tqdm
+
+import submaps
+from pointnetkl import simulation
+from pointnetkl.registration import gicp, monte_carlo, pair
+from pointnetkl.registration.pair import covariance, factor
+from pointnetkl.reporting import text_table
+from pointnetkl.simulation import seabed, vehicle
+from pointnetkl.surveys.se2 import SE2
+from pointnetkl.workflow import command, parameters, study
+
+NUMBERS, GATES = covariance.Settings(), factor.Settings()
+KNOWN = vehicle.Navigation(0.0, 0.0, 0.0, 300.0)
+WIDEST_M = 60.0  # between lines: swaths of 200 m overlap by more than half
+CLASSES = {"weak": (-np.inf, 0.5), "between": (0.5, 0.9), "held": (0.9, np.inf)}
+
+Row = dict[str, Any]
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Sail, register and print a table; with --json a line of JSON after it."""
+    registration = parameters.read(arguments.params, "registration", gicp.Settings)
+    settings = pair.Settings(**dataclasses.asdict(registration), method="map")
+    prior_m2 = parameters.read(arguments.params, "label", monte_carlo.Settings).prior_variance_m2
+    sailed = [(survey, seed) for survey in arguments.surveys for seed in range(arguments.seeds)]
+    rows = [
+        {"survey": survey} | row
+        for survey, seed in tqdm(sailed, desc="placed", unit="survey", dynamic_ncols=True)
+        for row in closures(arguments, survey, seed, settings, prior_m2)
+    ]
+    if not rows:
+        raise submaps.BenchmarkError("no submap returns to mapped ground; sail more --surveys or --seeds")
+    table = summary(pd.DataFrame(rows))
+    print(
+        text_table.markdown([text_table.block("Loop closures with every submap in its place", table, list(table[0]))])
+    )
+    if arguments.json:
+        asked = {name: value for name, value in vars(arguments).items() if name not in ("params", "json")}
+        print(json.dumps(text_table.rounded(asked | {"closures": len(rows), "classes": table})))
+
+
+def closures(
+    arguments: argparse.Namespace, survey: str, seed: int, settings: pair.Settings, prior_m2: float
+) -> Iterator[Row]:
+    """Yield a row for each loop closure of a survey that is sailed with another seed."""
+    line = study.survey(arguments.params, survey)
+    clouds = list(sail(arguments, survey, seed, line.point_spacing_m, line.submap_length_m))
+    rng = np.random.default_rng([seed, 3])
+    for number, source in clouds:
+        start = rng.normal(0, np.sqrt(prior_m2), 2)
+        centre = source.mean(axis=0)
+        mapped = [
+            cloud
+            for other, cloud in clouds
+            if other < number and np.hypot(*(cloud.mean(axis=0) - centre)[:2]) < 2.5 * line.submap_length_m
+        ]
+        if not mapped:
+            continue
+        target = np.concatenate(mapped)
+        common = cKDTree(target[:, :2]).query(source[:, :2] + start)[0] < line.point_spacing_m
+        if common.mean() >= arguments.coverage:
+            clouds_of_pair = gicp.prepare(source[common] - centre, settings), gicp.prepare(target - centre, settings)
+            yield closure(clouds_of_pair, start, line.point_spacing_m, settings, prior_m2)
+
+
+def sail(
+    arguments: argparse.Namespace, survey: str, seed: int, spacing_m: float, length_m: float
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the number of a line and the points (n, 3), in metres, of each submap of it, in its place."""
+    settings = parameters.read(arguments.params, f"simulate.{survey}", simulation.Settings)
+    if settings.terrain is None:
+        raise submaps.BenchmarkError(f"{survey} has no terrain that another seed would change; leave it out")
+    layout = dataclasses.replace(settings.layout, line_spacing_m=min(settings.layout.line_spacing_m, WIDEST_M))
+    settings = dataclasses.replace(settings, seed=settings.seed + 10_000 * (seed + 1), layout=layout)
+    sailing = parameters.read(arguments.params, f"vehicles.{settings.vehicle}", vehicle.Settings)
+    if arguments.drift == "none":
+        sailing = dataclasses.replace(sailing, navigation=KNOWN)
+    easting, northing = settings.centre_m
+    ground = seabed.Random(settings.terrain, settings.seed, settings.crs, (easting, northing))
+    for number, line in enumerate(simulation.survey(settings, sailing, ground)):
+        for points in stretches(line, length_m):
+            yield number, thinned(points, spacing_m)
+
+
+def stretches(line: simulation.Line, length_m: float) -> Iterator[np.ndarray]:
+    """Yield the soundings (n, 3) of each whole stretch of a line, moved by the mean error of their navigation."""
+    raw, truth = line.raw[line.raw["quality"] == 0], line.truth
+    north, east = np.cos(raw["heading_rad"]), np.sin(raw["heading_rad"])
+    x = raw["x_m"] + east * raw["along_m"] + north * raw["across_m"]
+    y = raw["y_m"] + north * raw["along_m"] - east * raw["across_m"]
+    points = np.column_stack([x, y, -raw["depth_m"] - raw["down_m"]])
+    true = np.column_stack([np.interp(raw["time_s"], truth["time_s"], truth[name]) for name in ("x_m", "y_m")])
+    error = raw[["x_m", "y_m"]].to_numpy() - true
+    sailed = np.concatenate([[0], np.cumsum(np.hypot(np.diff(truth["x_m"]), np.diff(truth["y_m"])))])
+    stretch = np.interp(raw["time_s"], truth["time_s"], sailed) // length_m
+    for number in range(int(sailed[-1] // length_m)):
+        own = stretch == number
+        yield points[own] - np.append(error[own].mean(axis=0), 0.0)
+
+
+def thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
+    """Return one of the points (n, 3) of every cell."""
+    return points[np.unique(np.floor(points[:, :2] / spacing_m), axis=0, return_index=True)[1]]
+
+
+def closure(
+    clouds: tuple[gicp.Cloud, gicp.Cloud], start: np.ndarray, spacing_m: float, settings: pair.Settings, prior_m2: float
+) -> Row:
+    """Return how far both methods end from the truth, and how well Q tells it."""
+    prior, block_m = prior_m2 * np.eye(2), NUMBERS.block_spacings * spacing_m
+    truth = pair.at(*clouds, SE2.identity(), block_m, settings)
+    S = truth.variance + covariance.LEAST_VARIANCE_M2 * np.eye(2)
+    row: Row = {"force": float(truth.total @ np.linalg.solve(S, truth.total)) / 2}
+    for method in pair.METHODS:
+        end = pair.register(*clouds, prior, spacing_m, dataclasses.replace(settings, method=method), SE2(start, 0.0))
+        error = end.T_target_source.translation
+        Q = covariance.with_prior(covariance.information(end.forces, NUMBERS), prior, end.forces.lever_m, NUMBERS)
+        square = float(error @ np.linalg.solve(Q, error))
+        row |= {
+            f"{method}_error_m": float(np.hypot(*error)),
+            f"{method}_nees": square / 2,
+            f"{method}_in_95": float(square < 5.991),
+            f"{method}_nats": 0.5 * (float(np.linalg.slogdet(2 * np.pi * Q)[1]) + square),
+        }
+    return row | {"share": float(factor.of(end.forces, NUMBERS, GATES).shares[0])}  # of MAP's end, the last
+
+
+def summary(table: pd.DataFrame) -> list[Row]:
+    """Return a row for each survey and class of ground that has closures."""
+    rows = []
+    for survey, closed in [*table.groupby("survey", sort=False), ("all", table)]:
+        for name, (low, high) in CLASSES.items():
+            some = closed[(closed["share"] >= low) & (closed["share"] < high)]
+            if len(some):
+                rows.append({"survey": survey, "ground": name, "closures": len(some)} | _means(some))
+    return rows
+
+
+def _means(closed: pd.DataFrame) -> Row:
+    row: Row = {"force": float(closed["force"].mean())}
+    for method in pair.METHODS:
+        row[f"{method}_median_m"] = float(closed[f"{method}_error_m"].median())
+        row[f"{method}_rms_m"] = float(np.sqrt((closed[f"{method}_error_m"] ** 2).mean()))
+        row |= {f"{method}_{name}": float(closed[f"{method}_{name}"].mean()) for name in ("nees", "in_95", "nats")}
+    return row
+
+
+def options() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = command.parser(__doc__ or "")
+    names = ["borno_8", "thwaites_11", "baltic", "shetland", "antarctica_7"]
+    parser.add_argument("--surveys", nargs="+", default=names, help="of section simulate")
+    parser.add_argument("--seeds", type=int, default=2, help="of each survey")
+    parser.add_argument("--drift", choices=["sailed", "none"], default="sailed", help="of the navigation")
+    parser.add_argument("--coverage", type=float, default=0.5, help="share of a submap that earlier ones must cover")
+    parser.add_argument("--json", action="store_true", help="end in one line of JSON")
+    return parser
+
+
+if __name__ == "__main__":
+    command.run(main, options())

@@ -1,0 +1,1 @@
+"""The report on surveys closed from their own navigation (Table V)."""

@@ -1,0 +1,202 @@
+"""Table V: a survey closed from its own navigation, with each method's covariance of the loop closures.
+
+The paper corrupts the yaw, and gives dead reckoning 5 m an edge. Here nothing is corrupted: poses are navigation's, as
+sure as the vehicle's drift leaves them. `map` registers by MAP. All others weight one set of GICP's ends, so that they
+differ by their covariance alone: `pair` by that of the matches, the rest by that of the source. Gates are the same.
+
+One survey has one drift. Where the truth is known, others are drawn about it from the same rates.
+"""
+
+import functools
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pointnetkl.registration import pair
+from pointnetkl.registration.covariance import catalogue
+from pointnetkl.slam.closing import drift, solving, survey
+from pointnetkl.slam.closing.estimate import from_matrices, to_matrices
+from pointnetkl.slam.closing.schemas import CLOSURES, POSES, ROWS, State
+from pointnetkl.slam.closing.survey import Closed
+from pointnetkl.slam.graph import trajectory_error
+from pointnetkl.workflow import compute
+from pointnetkl.workflow.parameters import require_seed
+
+RIVALS = (catalogue.MONTE_CARLO, catalogue.CONSTANT, catalogue.NETWORK, catalogue.SPLIT)
+Covariances = Mapping[str, np.ndarray]  # Q (n, 2, 2) by method, m^2, in the submaps' frames
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Section `close` of the parameters.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+
+    seed: int  # of drawn drifts
+    drifts: int  # that are drawn about the truth, besides the recorded one
+    believed: list[float]  # factors of the drift's sigmas that closing is told; the first is what others than map get
+    closing: survey.Settings = field(default_factory=survey.Settings)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of their range."""
+        require_seed(self.seed)
+        if self.drifts < 0:
+            raise ValueError(f"drifts is {self.drifts}, must be 0 or above")
+        if not self.believed or not all(factor > 0 for factor in self.believed):
+            raise ValueError(f"believed is {self.believed}, must be factors above zero, one at least")
+
+
+@dataclass(frozen=True)
+class Track:
+    """A survey's submaps, where navigation has them, and where they truly lie."""
+
+    survey: str
+    number: np.ndarray  # (n,) of the submaps
+    clouds: Sequence[np.ndarray]  # n of (n_i, 3), metres, in the submaps' frames
+    navigation: np.ndarray  # (n, 4, 4) T_map_submap
+    truth: np.ndarray  # (n, 4, 4); NaN where it is not known
+    time_s: np.ndarray  # (n,)
+    fix: drift.Fix  # where navigation was last right
+    drift: drift.Settings
+    spacing_m: float  # of the points
+
+    @property
+    def has_truth(self) -> bool:
+        """Return whether the truth is known."""
+        return bool(np.isfinite(self.truth).all())
+
+    def covariance(self, believed: float) -> np.ndarray:
+        """Return the covariance (3 n, 3 n) of the poses, with sigmas of drift times a factor."""
+        return drift.covariance(self.time_s, self.navigation[:, :2, 3], self.drift.times(believed), self.fix)
+
+
+@dataclass(frozen=True)
+class Results:
+    """The content of the stage's outputs."""
+
+    rows: pd.DataFrame
+    poses: pd.DataFrame
+    closures: pd.DataFrame
+
+
+def compare(track: Track, rivals: Covariances, settings: Settings, registration: pair.Settings) -> Results:
+    """Return the errors of every method in every run, and what method map made of the recorded navigation.
+
+    Raises:
+        ClosingError, DriftError: the survey cannot be closed.
+    """
+    runs = range(1 + settings.drifts if track.has_truth else 1)
+    one = functools.partial(_run, track, rivals, settings, registration)
+    outcomes = compute.over(one, runs, f"close {track.survey}", unit="drift")
+    rows = pd.DataFrame([row for part in outcomes for row in part[0]], columns=ROWS.names)
+    recorded = outcomes[0][1]
+    return Results(rows, _poses(track, recorded), _closures(track, recorded))
+
+
+def none() -> Results:
+    """Return the results for a survey without a track: tables without rows."""
+    return Results(*(schema.empty_table().to_pandas() for schema in (ROWS, POSES, CLOSURES)))
+
+
+def drawn(track: Track, run: int, seed: int) -> Track:
+    """Return the track with another drift about the truth; run 0 is the recorded one."""
+    if not run:
+        return track
+    sailed = replace(track, navigation=track.truth)
+    rng = np.random.default_rng([seed, zlib.crc32(track.survey.encode()), run])
+    w, v = np.linalg.eigh(sailed.covariance(1.0))
+    error = v @ (np.sqrt(np.maximum(w, 0.0)) * rng.normal(size=len(w)))
+    plane = from_matrices(track.truth) + error.reshape(-1, 3)
+    return replace(track, navigation=to_matrices(plane, track.navigation))
+
+
+def _run(
+    track: Track, rivals: Covariances, settings: Settings, registration: pair.Settings, run: int
+) -> tuple[list[dict[str, Any]], Closed]:
+    sailed, rows, first = drawn(track, run, settings.seed), [], None
+    for believed in settings.believed:
+        covariance = sailed.covariance(believed)
+        closed = {catalogue.MAP: _close(sailed, covariance, settings, replace(registration, method="map"))}
+        if first is None:
+            first = closed[catalogue.MAP]
+            closed = dict(_by_gicp(sailed, covariance, rivals, settings, registration)) | closed
+            start = first.navigation
+            rows.append(
+                _row(
+                    sailed, catalogue.NAVIGATION, run, believed, replace(first, poses=sailed.navigation, estimate=start)
+                )
+            )
+        rows += [_row(sailed, method, run, believed, each) for method, each in closed.items()]
+    assert first is not None  # believed has one factor at least
+    return rows, first
+
+
+def _by_gicp(
+    sailed: Track, covariance: np.ndarray, rivals: Covariances, settings: Settings, registration: pair.Settings
+) -> Iterator[tuple[str, Closed]]:
+    by_pair = _close(sailed, covariance, settings, replace(registration, method="gicp"))
+    for method, Q in rivals.items():
+        yield method, survey.with_covariances(by_pair, Q, settings.closing)
+    yield catalogue.PAIR, by_pair
+
+
+def _close(sailed: Track, covariance: np.ndarray, settings: Settings, registration: pair.Settings) -> Closed:
+    return survey.close(sailed.clouds, sailed.navigation, covariance, sailed.spacing_m, settings.closing, registration)
+
+
+def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed) -> dict[str, Any]:
+    states = Counter(f.state for f in closed.found)
+    counts = {"closures": len(closed.found), "accepted": states[State.ACCEPTED], "flat": states[State.FLAT]}
+    key = {"survey": sailed.survey, "method": method, "run": run, "believed": believed}
+    factor = solving.variance_factor(closed.navigation, closed.accepted)
+    return key | errors(closed, sailed.truth) | {"variance_factor": factor} | counts
+
+
+def errors(closed: Closed, truth: np.ndarray) -> dict[str, float]:
+    """Return the errors of poses against the truth (n, 4, 4), by schemas.ERRORS, and pose_nees; NaN if not known."""
+    e = (closed.poses - truth)[:, :2, 3]
+    aligned = trajectory_error.align_se2(closed.poses[:, :3, 3], truth[:, :3, 3])
+    plane, true = from_matrices(closed.poses), from_matrices(truth)
+    ties = [f.closure.tie for f in closed.found if f.closure is not None]
+    apart = np.array([tie.offset(plane) - tie.offset(true) for tie in ties]).reshape(-1, 2)
+    variances = closed.estimate.marginals[:, :2, :2]
+    return {
+        "as_it_is_m": trajectory_error.rmse(closed.poses[:, :2, 3], truth[:, :2, 3]),
+        "se2_m": trajectory_error.rmse(aligned[:, :2], truth[:, :2, 3]),
+        "joined_m": float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if ties else float("nan"),
+        "pose_nees": float(np.mean(np.einsum("ni,ni->n", e, np.linalg.solve(variances, e[:, :, None])[:, :, 0])) / 2),
+    }
+
+
+def _poses(track: Track, closed: Closed) -> pd.DataFrame:
+    plane = closed.estimate.poses
+    sigmas = np.sqrt(np.diagonal(closed.estimate.marginals, axis1=1, axis2=2))
+    columns = {"x_m": plane[:, 0], "y_m": plane[:, 1], "z_m": closed.poses[:, 2, 3], "yaw_rad": plane[:, 2]}
+    columns |= {f"sigma_{name}": sigmas[:, i] for i, name in enumerate(("x_m", "y_m", "yaw_rad"))}
+    return pd.DataFrame({"survey": track.survey, "submap": track.number, **columns})[POSES.names]
+
+
+def _closures(track: Track, closed: Closed) -> pd.DataFrame:
+    rows = []
+    for f in closed.found:
+        of_all: dict[str, Any] = {"survey": track.survey, "source": track.number[f.source], "state": str(f.state)}
+        c = f.closure
+        if c is not None:
+            of_all |= {
+                "rank": c.rank,
+                "residual_m": np.sqrt(c.residual_variance),
+                "moved_m": np.hypot(*c.end),
+                "sigmas": np.linalg.norm(c.residual(closed.estimate.poses)),
+            }
+        shares = [np.nan] * len(f.targets) if c is None else c.tie.shares.tolist()
+        rows += [
+            of_all | {"target": track.number[k], "share": share} for k, share in zip(f.targets, shares, strict=True)
+        ]
+    return pd.DataFrame(rows, columns=CLOSURES.names).astype({"rank": "Int32"})

@@ -1,0 +1,201 @@
+"""A survey closed from its own navigation: closures searched, judged and solved, until nothing changes."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from pointnetkl.registration import pair
+from pointnetkl.slam.closing import gates, search, solving
+from pointnetkl.slam.closing.estimate import Closure, Estimate, from_matrices, to_matrices
+from pointnetkl.slam.closing.schemas import State
+from pointnetkl.slam.closing.search import Ground
+from pointnetkl.slam.closing.search import Settings as SearchSettings
+from pointnetkl.surveys.se2 import rotate
+from pointnetkl.workflow.parameters import require_positive
+
+_FEWEST = 5  # closures whose residuals have a median worth the name
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a survey is closed.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    rounds: int = 3  # of registering from the poses of the round before; the first goes along the track
+    steady_m: float = 0.02  # no more rounds once no pose moves farther
+    gnc_probability: float = 0.999  # of the squared residual of a true closure
+    gnc_step: float = 2.0  # factor of the control parameter from one problem to the next
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require_positive(self, "rounds", "steady_m")
+        if not 0 < self.gnc_probability < 1:
+            raise ValueError(f"gnc_probability is {self.gnc_probability:g}, must be between 0 and 1")
+        if self.gnc_step <= 1:
+            raise ValueError(f"gnc_step is {self.gnc_step:g}, must be above 1")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of a submap that returns to mapped ground."""
+
+    source: int
+    targets: Sequence[int]
+    closure: Closure | None  # None: no match
+    state: State
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A survey with its loops closed."""
+
+    poses: np.ndarray  # (n, 4, 4) T_map_submap
+    navigation: Estimate
+    estimate: Estimate  # of the same poses, with their covariance
+    found: Sequence[Found]  # in the order of their sources
+    rounds: int
+
+    @property
+    def accepted(self) -> list[Closure]:
+        """Return the closures that hold the poses."""
+        return _accepted(self.found)
+
+
+def close(
+    clouds: Sequence[np.ndarray],
+    navigation: np.ndarray,
+    covariance: np.ndarray,
+    spacing_m: float,
+    settings: Settings,
+    registration: pair.Settings,
+) -> Closed:
+    """Return a survey whose loops are closed, from its navigation as it is.
+
+    Args:
+        clouds: n submaps' points (n_i, 3), metres, in their own frames.
+        navigation: T_map_submap (n, 4, 4).
+        covariance: (3 n, 3 n) of navigation's x, y and yaw, in axes of the map: see `drift`.
+        spacing_m: of the survey's points.
+        settings: of the search, the gates and the solution.
+        registration: of the pairs, whose method should be map.
+
+    Raises:
+        ClosingError: poses, clouds and covariance are not of one survey, or the poses have no solution.
+    """
+    ground = Ground(clouds, navigation, spacing_m, registration, settings.search)
+    start = Estimate(from_matrices(navigation), covariance)
+    found, estimate = judge(start, _along_the_track(ground, start), settings)
+    rounds = 1
+    while rounds < settings.rounds:
+        last = estimate
+        found, estimate = judge(start, _registered_at(ground, last), settings)
+        rounds += 1
+        if np.abs(estimate.poses - last.poses)[:, :2].max() < settings.steady_m:
+            break
+    return Closed(to_matrices(estimate.poses, navigation), start, estimate, found, rounds)
+
+
+def with_covariances(closed: Closed, covariances: np.ndarray, settings: Settings) -> Closed:
+    """Return a survey solved again from the same ends of its registrations, weighted by covariances (n, 2, 2).
+
+    They are m^2 in each source's own frame, as those of labels and networks are; of NaN, where there is none: that
+    source closes nothing. Gates judge by them.
+
+    Raises:
+        ClosingError: one of them is not positive definite, or the poses have no solution.
+    """
+    found = [
+        f if f.closure is None else dataclasses.replace(f, closure=_weighted(f.closure, covariances[f.source]))
+        for f in closed.found
+    ]
+    judged, estimate = judge(closed.navigation, found, settings)
+    poses = to_matrices(estimate.poses, closed.poses)
+    return dataclasses.replace(closed, poses=poses, estimate=estimate, found=judged)
+
+
+def _weighted(closure: Closure, Q: np.ndarray) -> Closure:
+    if np.isnan(Q).any():
+        return dataclasses.replace(closure, A=np.zeros((0, 2)), c=np.zeros(0))
+    R = rotate(np.eye(2), float(closure.tie.tied_source[2])).T
+    return closure.with_covariance(R @ Q @ R.T)
+
+
+def judge(navigation: Estimate, found: Sequence[Found], settings: Settings) -> tuple[list[Found], Estimate]:
+    """Return closures with their states, and the poses that the accepted ones give.
+
+    Residuals are judged first, then the place at a larger drift, then graduated non-convexity among what is left.
+
+    Raises:
+        ClosingError: the poses have no solution.
+    """
+    numbers = settings.search.gates
+    judged = [dataclasses.replace(f, state=_of_ground(f.closure)) for f in found]
+    judged = _refuse(judged, gates.by_residuals(_accepted(judged), numbers), State.RESIDUALS)
+    judged = _refuse(judged, gates.by_prediction(navigation, _accepted(judged), numbers), State.PREDICTION)
+    left = _accepted(judged)
+    estimate, weights = solving.graduated(navigation, left, settings.gnc_probability, settings.gnc_step)
+    return _refuse(judged, weights > 0, State.OUTVOTED), estimate
+
+
+def _of_ground(closure: Closure | None) -> State:
+    if closure is None:
+        return State.UNMATCHED
+    return State.ACCEPTED if closure.rank else State.FLAT
+
+
+def _accepted(found: Sequence[Found]) -> list[Closure]:
+    return [f.closure for f in found if f.closure is not None and f.state == State.ACCEPTED]
+
+
+def _refuse(found: Sequence[Found], passed: np.ndarray, state: State) -> list[Found]:
+    """Return closures of which those accepted so far that have not passed (k,) get a state."""
+    verdicts = iter(passed.tolist())
+    return [f if f.state != State.ACCEPTED or next(verdicts) else dataclasses.replace(f, state=state) for f in found]
+
+
+def _along_the_track(ground: Ground, navigation: Estimate) -> list[Found]:
+    """Return the closures of each submap in turn, registered from the poses that those before it have corrected."""
+    found: list[Found] = []
+    estimate = navigation
+    for source in range(len(navigation.poses)):
+        closures = _found(ground, estimate, source)
+        found += closures
+        for f in closures:
+            if f.closure is not None and _is_plausible(f.closure, estimate, _accepted(found), ground):
+                estimate = solving.updated(estimate, f.closure)
+    return found
+
+
+def _registered_at(ground: Ground, estimate: Estimate) -> list[Found]:
+    return [f for source in range(len(estimate.poses)) for f in _found(ground, estimate, source)]
+
+
+def _found(ground: Ground, estimate: Estimate, source: int) -> list[Found]:
+    """Return the closure of a submap, as a list of one; none where it lies on new ground."""
+    targets = search.targets(ground, estimate, source)
+    if not targets:
+        return []
+    closure = search.register(ground, estimate, source, targets)
+    return [Found(source, targets, closure, _of_ground(closure))]
+
+
+def _is_plausible(closure: Closure, estimate: Estimate, others: Sequence[Closure], ground: Ground) -> bool:
+    """Whether a closure may correct the poses that the next ones start from; the gates proper see the whole survey."""
+    numbers = ground.settings.gates
+    if not closure.rank:
+        return False
+    if len(others) >= _FEWEST:
+        median = np.median([other.residual_variance for other in others])
+        if closure.residual_variance > numbers.largest_variance_ratio * median:
+            return False
+    variance = numbers.drift_factor**2 * closure.tie.variance(estimate)
+    r = closure.residual(estimate.poses)
+    chi2 = r @ np.linalg.solve(np.eye(len(r)) + closure.A @ variance @ closure.A.T, r)
+    return bool(chi2 <= stats.chi2.ppf(numbers.gate_probability, closure.A.shape[1]))
