@@ -10,6 +10,7 @@ import numpy as np
 
 from pointnetkl.registration.covariance.catalogue import (
     CONSTANT,
+    MAP,
     MONTE_CARLO,
     NAIVE_GICP,
     NETWORK,
@@ -19,13 +20,15 @@ from pointnetkl.registration.covariance.catalogue import (
 from pointnetkl.reporting.text_table import Numbers, rounded
 
 MOST = 60
-KL, COVERAGE, LABEL, SLAM_TRUTH, SLAM_GT = "KL_nats", "coverage_95", "label_larger_m2", "slam_truth_m", "slam_gt_m"
+KL, CLOSED, COVERAGE, LABEL = "KL_nats", "closed_m", "coverage_95", "label_larger_m2"
+SLAM_TRUTH, SLAM_GT = "slam_truth_m", "slam_gt_m"
 _METHODS = (NETWORK, POINTNETKL, STRUCTURE_TENSOR, CONSTANT, NAIVE_GICP)
 _SOLUTIONS = ("corrupted", MONTE_CARLO, NETWORK, CONSTANT, NAIVE_GICP)
 _QUANTILES = {"q05": 0.05, "q50": 0.50, "q95": 0.95}
 # What is kept first where not all numbers fit, for each quantity
 _IMPORTANCE = (
     NETWORK,
+    MAP,
     "q50",
     CONSTANT,
     MONTE_CARLO,
@@ -52,12 +55,14 @@ def select(numbers: Numbers, larger_m2: Mapping[str, np.ndarray]) -> dict[str, d
 
 
 def _quantities(name: str, numbers: Numbers, larger_m2: np.ndarray) -> dict[str, dict[str, float]]:
-    kl, coverage, slam = (numbers.get(key, {}).get(name, {}) for key in ("kl", "calibration", "slam"))
+    sections = ("kl", "closing", "calibration", "slam")
+    kl, closing, coverage, slam = (numbers.get(key, {}).get(name, {}) for key in sections)
     against_truth = any("truth_rmse_xyz_m" in slam.get(method, {}) for method in _SOLUTIONS)
     slam_key, column = (SLAM_TRUTH, "truth_rmse_xyz_m") if against_truth else (SLAM_GT, "rmse_xyz_m")
     quantiles = {key: rounded(float(np.quantile(larger_m2, share))) for key, share in _QUANTILES.items()}
     return {
         KL: {method: kl[method]["mean"] for method in _METHODS if method in kl},
+        CLOSED: {MAP: closing[MAP]["as_it_is_m"]} if "as_it_is_m" in closing.get(MAP, {}) else {},
         COVERAGE: {m: coverage[m]["coverage_95"] for m in (*_METHODS, MONTE_CARLO) if m in coverage},
         LABEL: quantiles,
         slam_key: {method: slam[method][column] for method in _SOLUTIONS if column in slam.get(method, {})},

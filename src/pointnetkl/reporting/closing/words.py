@@ -21,7 +21,7 @@ def section(shown: Blocks, closing: Numbers) -> Section:
             " from GICP's ends. The others weight those of GICP by the covariance of the source submap: their ends were"
             " found from poses that pair had corrected, which is the best case for them. Every method passes the same"
             " gates. split has a covariance only for submaps that close a loop in stage graph.",
-            "map_believed_3 is told that drift is three times as large as it is.",
+            "map_believed_3, where it stands, is told that drift is three times as large as it is (close.believed).",
         ),
         shown["table_5"],
         {

@@ -10,7 +10,7 @@ One survey has one drift. Where the truth is known, others are drawn about it fr
 import functools
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -120,34 +120,25 @@ def drawn(track: Track, run: int, seed: int) -> Track:
 def _run(
     track: Track, rivals: Covariances, settings: Settings, registration: pair.Settings, run: int
 ) -> tuple[list[dict[str, Any]], Closed]:
-    sailed, rows, first = drawn(track, run, settings.seed), [], None
-    for believed in settings.believed:
-        covariance = sailed.covariance(believed)
-        closed = {catalogue.MAP: _close(sailed, covariance, settings, replace(registration, method="map"))}
-        if first is None:
-            first = closed[catalogue.MAP]
-            closed = dict(_by_gicp(sailed, covariance, rivals, settings, registration)) | closed
-            start = first.navigation
-            rows.append(
-                _row(
-                    sailed, catalogue.NAVIGATION, run, believed, replace(first, poses=sailed.navigation, estimate=start)
-                )
-            )
-        rows += [_row(sailed, method, run, believed, each) for method, each in closed.items()]
-    assert first is not None  # believed has one factor at least
-    return rows, first
+    sailed = drawn(track, run, settings.seed)
+    believed, *others = settings.believed
+    by_map = _close(sailed, believed, settings, replace(registration, method="map"))
+    by_pair = _close(sailed, believed, settings, replace(registration, method="gicp"))
+    closed = {
+        catalogue.NAVIGATION: replace(by_map, poses=sailed.navigation, estimate=by_map.navigation),
+        **{method: survey.with_covariances(by_pair, Q, settings.closing) for method, Q in rivals.items()},
+        catalogue.PAIR: by_pair,
+        catalogue.MAP: by_map,
+    }
+    rows = [_row(sailed, method, run, believed, outcome) for method, outcome in closed.items()]
+    for factor in others:
+        outcome = _close(sailed, factor, settings, replace(registration, method="map"))
+        rows.append(_row(sailed, catalogue.MAP, run, factor, outcome))
+    return rows, by_map
 
 
-def _by_gicp(
-    sailed: Track, covariance: np.ndarray, rivals: Covariances, settings: Settings, registration: pair.Settings
-) -> Iterator[tuple[str, Closed]]:
-    by_pair = _close(sailed, covariance, settings, replace(registration, method="gicp"))
-    for method, Q in rivals.items():
-        yield method, survey.with_covariances(by_pair, Q, settings.closing)
-    yield catalogue.PAIR, by_pair
-
-
-def _close(sailed: Track, covariance: np.ndarray, settings: Settings, registration: pair.Settings) -> Closed:
+def _close(sailed: Track, believed: float, settings: Settings, registration: pair.Settings) -> Closed:
+    covariance = sailed.covariance(believed)
     return survey.close(sailed.clouds, sailed.navigation, covariance, sailed.spacing_m, settings.closing, registration)
 
 
