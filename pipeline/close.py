@@ -7,12 +7,12 @@ import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
 
 # isort: split
 import argparse
-import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pointnetkl.registration import pair
+from pointnetkl.registration import gicp, pair
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.benchmark import protocol
 from pointnetkl.slam.closing import comparison, drift, schemas
@@ -27,18 +27,21 @@ def main(arguments: argparse.Namespace) -> None:
     name = arguments.survey
     settings = parameters.read(arguments.params, "close", comparison.Settings)
     stated = parameters.read(arguments.params, "navigation", dict[str, drift.Settings])
-    registration = parameters.read(arguments.params, "registration", pair.Settings)
     artifacts.require_survey(name, arguments.submaps, arguments.poses, arguments.pings)
     _, graph, _ = graph_file.read(arguments.graph, name)
-    rates = drift.named(study.survey(arguments.params, name).navigation, stated)
+    navigation = study.survey(arguments.params, name).navigation
+    rates = drift.named(navigation, stated, f"study.surveys.{name}.navigation")
+    print(f"{name}: drifts as {navigation} (study.surveys.{name}.navigation)")
     # headings are held by navigation: a turn of a submap by its matches would hardly move the map
-    registration = dataclasses.replace(registration, dof="xy")
+    gicp_settings = parameters.read(arguments.params, "registration", gicp.Settings)
+    registration = pair.Settings(**{**parameters.as_metadata(gicp_settings), "dof": "xy"})
     results = comparison.none()
     if graph.track:
         track = read_track(arguments, graph.truth, rates)
         rivals = read_rivals(arguments, track)
         results = comparison.compare(track, rivals, settings, registration)
-    metadata = {"survey": name} | {
+    frame = artifacts.table_metadata(arguments.pings)
+    metadata: dict[str, Any] = {"survey": name, **{key: frame.get(key) for key in ("crs", "origin")}} | {
         section: parameters.as_metadata(values)
         for section, values in (("close", settings), ("drift", rates), ("registration", registration))
     }
@@ -49,6 +52,9 @@ def main(arguments: argparse.Namespace) -> None:
 
 def read_track(arguments: argparse.Namespace, truth: np.ndarray, rates: drift.Settings) -> Track:
     """Return the survey's submaps in the order of the track, with their poses by navigation."""
+    sampling = submap.read_sampling(arguments.submaps)
+    if sampling.kind == survey.SUBMAPS:
+        print(f"{arguments.survey}: submaps without times are taken for a second apart: only distance makes drift grow")
     submaps = submap.from_table(arguments.survey, artifacts.read_table(arguments.submaps, submap.POINTS))
     poses = artifacts.read_table(arguments.poses, submap.POSES).sort_values("submap", ignore_index=True)
     first = artifacts.read_table(arguments.pings, survey.PINGS).iloc[0]
@@ -61,7 +67,7 @@ def read_track(arguments: argparse.Namespace, truth: np.ndarray, rates: drift.Se
         time_s=poses["time_s"].to_numpy(),
         fix=drift.Fix(*(float(first[column]) for column in ("time_s", "x_m", "y_m"))),
         drift=rates,
-        spacing_m=submap.read_sampling(arguments.submaps).spacing_m,
+        spacing_m=sampling.spacing_m,
     )
 
 

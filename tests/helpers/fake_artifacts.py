@@ -300,7 +300,9 @@ def _write_closing(folder: Path, fake: Fake, poses: np.ndarray, edges: np.ndarra
     artifacts.write_table(folder / f"{fake.name}.parquet", table_, closing_schemas.ROWS, {})
     closed = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
     sigmas = {name: 0.5 for name in closing_schemas.POSES.names if name.startswith("sigma")}
-    table_ = pd.DataFrame({"survey": fake.name, "submap": range(len(poses)), "yaw_rad": 0.0, **closed, **sigmas})
+    table_ = pd.DataFrame(
+        {"survey": fake.name, "submap": range(len(poses)), "time_s": 0.0, "yaw_rad": 0.0, **closed, **sigmas}
+    )
     artifacts.write_table(folder / f"{fake.name}_closed.parquet", table_, closing_schemas.POSES, {})
     states = [str(list(closing_schemas.State)[k % 6]) for k in range(len(edges))]
     table_ = pd.DataFrame({"target": edges[:, 0], "source": edges[:, 1], "state": states, "survey": fake.name})

@@ -20,8 +20,9 @@ def section(shown: Blocks, closing: Numbers) -> Section:
             "map registers to the most probable place and hands the graph the ground's pull alone. pair is the same"
             " from GICP's ends. The others weight those of GICP by the covariance of the source submap: their ends were"
             " found from poses that pair had corrected, which is the best case for them. Every method passes the same"
-            " gates. split has a covariance only for submaps that close a loop in stage graph.",
-            "map_believed_3, where it stands, is told that drift is three times as large as it is (close.believed).",
+            " gates. They close loops on flat ground too, to which labels give a Q, and map and pair none. split has a"
+            " covariance only for submaps that close a loop in stage graph.",
+            "A name that ends in believed_<k> is told that drift is k times as large as it is (close.believed).",
         ),
         shown["table_5"],
         {
@@ -39,4 +40,4 @@ def _gains(closing: Numbers) -> Iterator[str]:
         if methods[MAP]["worse"] is not None
     ]
     if gains:
-        yield f"Closing its loops by MAP takes the error of positions down: {'; '.join(gains)}."
+        yield f"What closing its loops by MAP does to the error of a survey's positions: {'; '.join(gains)}."

@@ -19,8 +19,8 @@ import pandas as pd
 
 from pointnetkl.registration import pair
 from pointnetkl.registration.covariance import catalogue
-from pointnetkl.slam.closing import drift, solving, survey
-from pointnetkl.slam.closing.estimate import from_matrices, to_matrices
+from pointnetkl.slam.closing import drift, survey
+from pointnetkl.slam.closing.estimate import Estimate, Tie, from_matrices, to_matrices
 from pointnetkl.slam.closing.schemas import CLOSURES, POSES, ROWS, State
 from pointnetkl.slam.closing.survey import Closed
 from pointnetkl.slam.graph import trajectory_error
@@ -49,8 +49,9 @@ class Settings:
         require_seed(self.seed)
         if self.drifts < 0:
             raise ValueError(f"drifts is {self.drifts}, must be 0 or above")
-        if not self.believed or not all(factor > 0 for factor in self.believed):
-            raise ValueError(f"believed is {self.believed}, must be factors above zero, one at least")
+        once = len(set(self.believed)) == len(self.believed)
+        if not self.believed or not once or not all(factor > 0 for factor in self.believed):
+            raise ValueError(f"believed is {self.believed}, must be factors above zero, one at least, each once")
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ def compare(track: Track, rivals: Covariances, settings: Settings, registration:
     one = functools.partial(_run, track, rivals, settings, registration)
     outcomes = compute.over(one, runs, f"close {track.survey}", unit="drift")
     rows = pd.DataFrame([row for part in outcomes for row in part[0]], columns=ROWS.names)
+    rows = rows.astype(dict.fromkeys(("closures", "accepted", "flat"), "Int32"))  # null of navigation
     recorded = outcomes[0][1]
     return Results(rows, _poses(track, recorded), _closures(track, recorded))
 
@@ -109,12 +111,14 @@ def drawn(track: Track, run: int, seed: int) -> Track:
     """Return the track with another drift about the truth; run 0 is the recorded one."""
     if not run:
         return track
-    sailed = replace(track, navigation=track.truth)
+    offset = (track.truth - track.navigation)[0, :2, 3]  # of frames or antennas: no drift
+    fix = replace(track.fix, x_m=track.fix.x_m + offset[0], y_m=track.fix.y_m + offset[1])
+    sailed = replace(track, navigation=track.truth, fix=fix)
     rng = np.random.default_rng([seed, zlib.crc32(track.survey.encode()), run])
     w, v = np.linalg.eigh(sailed.covariance(1.0))
     error = v @ (np.sqrt(np.maximum(w, 0.0)) * rng.normal(size=len(w)))
     plane = from_matrices(track.truth) + error.reshape(-1, 3)
-    return replace(track, navigation=to_matrices(plane, track.navigation))
+    return replace(sailed, navigation=to_matrices(plane, track.navigation))
 
 
 def _run(
@@ -125,15 +129,17 @@ def _run(
     by_map = _close(sailed, believed, settings, replace(registration, method="map"))
     by_pair = _close(sailed, believed, settings, replace(registration, method="gicp"))
     closed = {
-        catalogue.NAVIGATION: replace(by_map, poses=sailed.navigation, estimate=by_map.navigation),
         **{method: survey.with_covariances(by_pair, Q, settings.closing) for method, Q in rivals.items()},
         catalogue.PAIR: by_pair,
         catalogue.MAP: by_map,
     }
-    rows = [_row(sailed, method, run, believed, outcome) for method, outcome in closed.items()]
+    ties = [f.closure.tie for f in by_map.found if f.closure is not None]
+    key = {"survey": sailed.survey, "method": catalogue.NAVIGATION, "run": run, "believed": believed}
+    rows = [key | errors(sailed.navigation, by_map.navigation, sailed.truth, ties)]
+    rows += [_row(sailed, method, run, believed, outcome, ties) for method, outcome in closed.items()]
     for factor in others:
         outcome = _close(sailed, factor, settings, replace(registration, method="map"))
-        rows.append(_row(sailed, catalogue.MAP, run, factor, outcome))
+        rows.append(_row(sailed, catalogue.MAP, run, factor, outcome, ties))
     return rows, by_map
 
 
@@ -142,24 +148,26 @@ def _close(sailed: Track, believed: float, settings: Settings, registration: pai
     return survey.close(sailed.clouds, sailed.navigation, covariance, sailed.spacing_m, settings.closing, registration)
 
 
-def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed) -> dict[str, Any]:
+def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed, ties: Sequence[Tie]) -> dict[str, Any]:
     states = Counter(f.state for f in closed.found)
     counts = {"closures": len(closed.found), "accepted": states[State.ACCEPTED], "flat": states[State.FLAT]}
     key = {"survey": sailed.survey, "method": method, "run": run, "believed": believed}
-    factor = solving.variance_factor(closed.navigation, closed.accepted)
-    return key | errors(closed, sailed.truth) | {"variance_factor": factor} | counts
+    known = errors(closed.poses, closed.estimate, sailed.truth, ties)
+    return key | known | {"variance_factor": closed.variance_factor} | counts
 
 
-def errors(closed: Closed, truth: np.ndarray) -> dict[str, float]:
-    """Return the errors of poses against the truth (n, 4, 4), by schemas.ERRORS, and pose_nees; NaN if not known."""
-    e = (closed.poses - truth)[:, :2, 3]
-    aligned = trajectory_error.align_se2(closed.poses[:, :3, 3], truth[:, :3, 3])
-    plane, true = from_matrices(closed.poses), from_matrices(truth)
-    ties = [f.closure.tie for f in closed.found if f.closure is not None]
+def errors(poses: np.ndarray, estimate: Estimate, truth: np.ndarray, ties: Sequence[Tie]) -> dict[str, float]:
+    """Return the errors of poses (n, 4, 4) against the truth, by schemas.ERRORS, and pose_nees; NaN if not known.
+
+    `estimate` has the covariance of the poses; `ties` are of the pairs that joined_m is of.
+    """
+    e = (poses - truth)[:, :2, 3]
+    aligned = trajectory_error.align_se2(poses[:, :3, 3], truth[:, :3, 3])
+    plane, true = from_matrices(poses), from_matrices(truth)
     apart = np.array([tie.offset(plane) - tie.offset(true) for tie in ties]).reshape(-1, 2)
-    variances = closed.estimate.marginals[:, :2, :2]
+    variances = estimate.marginals[:, :2, :2]
     return {
-        "as_it_is_m": trajectory_error.rmse(closed.poses[:, :2, 3], truth[:, :2, 3]),
+        "as_it_is_m": trajectory_error.rmse(poses[:, :2, 3], truth[:, :2, 3]),
         "se2_m": trajectory_error.rmse(aligned[:, :2], truth[:, :2, 3]),
         "joined_m": float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if ties else float("nan"),
         "pose_nees": float(np.mean(np.einsum("ni,ni->n", e, np.linalg.solve(variances, e[:, :, None])[:, :, 0])) / 2),
@@ -171,7 +179,8 @@ def _poses(track: Track, closed: Closed) -> pd.DataFrame:
     sigmas = np.sqrt(np.diagonal(closed.estimate.marginals, axis1=1, axis2=2))
     columns = {"x_m": plane[:, 0], "y_m": plane[:, 1], "z_m": closed.poses[:, 2, 3], "yaw_rad": plane[:, 2]}
     columns |= {f"sigma_{name}": sigmas[:, i] for i, name in enumerate(("x_m", "y_m", "yaw_rad"))}
-    return pd.DataFrame({"survey": track.survey, "submap": track.number, **columns})[POSES.names]
+    key = {"survey": track.survey, "submap": track.number, "time_s": track.time_s}
+    return pd.DataFrame({**key, **columns})[POSES.names]
 
 
 def _closures(track: Track, closed: Closed) -> pd.DataFrame:

@@ -64,26 +64,27 @@ class Settings:
 PRESETS: Mapping[str, Settings] = MappingProxyType(
     {
         # ring laser or fibre optic gyros of navigation grade (0.003 deg/h), a calibrated log: 0.1 to 0.2 % of distance
-        "navigation": Settings(1e-3, 3.5e-4, 3.5e-4, 1800.0, 2e-3, 300.0),
+        "navigation_grade": Settings(1e-3, 3.5e-4, 3.5e-4, 1800.0, 2e-3, 300.0),
         # fibre optic gyrocompass (0.1 deg): 0.3 % of distance
         "gyrocompass": Settings(2e-3, 1.2e-3, 1.2e-3, 1200.0, 4e-3, 300.0, yaw_noise_rad=1e-4),
         # micromechanical unit with a magnetic compass (0.5 to 1 deg): 1 to 2 % of distance
         "compass": Settings(4e-3, 1e-2, 1e-2, 600.0, 1e-2, 300.0, yaw_noise_rad=1e-3),
+        # positions of a satellite receiver, which do not drift; heading of its two antennas or of a gyrocompass
+        "gnss": Settings(0.0, 0.0, 0.0, 1200.0, 0.0, 300.0, position_noise_m=1.0, yaw_noise_rad=2e-3),
     }
 )
 
 
-def named(name: str, stated: Mapping[str, Settings]) -> Settings:
-    """Return the rates of that name, of those stated or of PRESETS.
+def named(name: str, stated: Mapping[str, Settings], where: str = "navigation") -> Settings:
+    """Return the rates of that name, of those stated or of PRESETS; `where` the name stands is for the error.
 
     Raises:
         DriftError: there are none.
     """
     known = {**PRESETS, **stated}
     if name not in known:
-        raise DriftError(
-            f"navigation is {name!r}, must be one of {', '.join(known)}; state its rates in section navigation"
-        )
+        names = ", ".join(known)
+        raise DriftError(f"{where} is {name!r}, must be one of {names}; or state such rates in section navigation")
     return known[name]
 
 
@@ -151,7 +152,7 @@ def _track(time_s: np.ndarray, xy: np.ndarray, fix: Fix | None) -> tuple[np.ndar
     if fix is not None and fix.time_s < times[0]:
         times, places = np.append(fix.time_s, times), np.vstack([[fix.x_m, fix.y_m], places])
     if len(wrong := np.flatnonzero(~(np.diff(times) > 0))):
-        raise DriftError(f"pose {wrong[0] + 1} is not later than the one before; sort poses by time")
+        raise DriftError(f"pose {wrong[0] + 1} has no later time than the one before it: times of poses must grow")
     return times - times[0], places
 
 

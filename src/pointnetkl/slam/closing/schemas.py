@@ -14,18 +14,15 @@ ROWS = pa.schema(
         ("believed", pa.float64()),  # factor of the drift's sigmas
         *((name, pa.float64()) for name in ERRORS),  # rms against the truth; null where it is not known
         ("pose_nees", pa.float64()),  # of x and y, 1 is right; null where the truth is not known
-        (
-            "variance_factor",
-            pa.float64(),
-        ),  # of accepted closures at navigation's poses: 1 where sigmas are right
-        ("closures", pa.int32()),  # submaps that return to mapped ground
-        ("accepted", pa.int32()),
-        ("flat", pa.int32()),  # of them, those whose ground says nothing
+        # of closures whose matches fit, at navigation's poses: 1 where drift and closures are as sure as they say
+        ("variance_factor", pa.float64()),
+        # submaps that return to mapped ground; of them accepted, and those whose ground says nothing; not of navigation
+        *((name, pa.int32()) for name in ("closures", "accepted", "flat")),
     ]
 )
 # A row per submap: the recorded navigation, closed by method map, and one standard deviation of its place.
 POSES = pa.schema(
-    [("survey", pa.string()), ("submap", pa.int32())]
+    [("survey", pa.string()), ("submap", pa.int32()), ("time_s", pa.float64())]
     + [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "yaw_rad", "sigma_x_m", "sigma_y_m", "sigma_yaw_rad")]
 )
 # A row per closure of the recorded navigation by method map, and one per submap that it is registered on.
@@ -48,7 +45,7 @@ class State(StrEnum):
     """What became of a closure."""
 
     ACCEPTED = "accepted"
-    UNMATCHED = "unmatched"  # too few points of the source lie over the targets
+    UNMATCHED = "unmatched"  # too few points of the source lie over the targets, or the method has no covariance
     FLAT = "flat"  # no direction is held by the ground: nothing to tell the graph
     RESIDUALS = "residuals"  # its matches fit worse than the survey's others
     PREDICTION = "prediction"  # contradicts navigation and the other closures, were drift drift_factor times as large

@@ -54,15 +54,18 @@ def solve(navigation: Estimate, closures: Sequence[Closure], weights: np.ndarray
 
 
 def variance_factor(navigation: Estimate, closures: Sequence[Closure]) -> float:
-    """Return r^T (J C J^T + I)^-1 r / m of the closures' m residuals at navigation's poses; NaN without any.
+    """Return how large the closures' residuals at navigation's poses are, squared, for what they should be.
 
-    It is 1 where drift and closures are as sure as they say, and 9 where drift is three times as large.
+    It is the median of the squares of L^-1 r, with L L^T = J C J^T + I, over that of chi2 of one degree, so that wrong
+    closures hardly move it: 1 where drift and closures are as sure as they say, 9 where drift is three times as large.
+    NaN without closures.
     """
     J, r = linearised(closures, navigation.poses)
     if not len(r):
         return float("nan")
     S = J @ np.asarray((J @ navigation.covariance).T) + np.eye(len(r))
-    return float(r @ linalg.solve(S, r, assume_a="pos") / len(r))
+    whitened = linalg.solve_triangular(np.linalg.cholesky(S), r, lower=True)
+    return float(np.median(whitened**2) / stats.chi2.median(1))
 
 
 def updated(estimate: Estimate, closure: Closure) -> Estimate:

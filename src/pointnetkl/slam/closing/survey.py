@@ -67,6 +67,13 @@ class Closed:
         """Return the closures that hold the poses."""
         return _accepted(self.found)
 
+    @property
+    def variance_factor(self) -> float:
+        """Return solving.variance_factor of the closures whose matches fit, those that the poses refuse among them."""
+        fit = (State.ACCEPTED, State.PREDICTION, State.OUTVOTED)
+        closures = [f.closure for f in self.found if f.closure is not None and f.state in fit]
+        return solving.variance_factor(self.navigation, closures)
+
 
 def close(
     clouds: Sequence[np.ndarray],
@@ -105,24 +112,21 @@ def close(
 def with_covariances(closed: Closed, covariances: np.ndarray, settings: Settings) -> Closed:
     """Return a survey solved again from the same ends of its registrations, weighted by covariances (n, 2, 2).
 
-    They are m^2 in each source's own frame, as those of labels and networks are; of NaN, where there is none: that
-    source closes nothing. Gates judge by them.
+    They are m^2 in each source's own frame, as those of labels and networks are. Of NaN, where there is none: that
+    source counts as unmatched. Gates judge by them.
 
     Raises:
         ClosingError: one of them is not positive definite, or the poses have no solution.
     """
-    found = [
-        f if f.closure is None else dataclasses.replace(f, closure=_weighted(f.closure, covariances[f.source]))
-        for f in closed.found
-    ]
+    found = [dataclasses.replace(f, closure=_weighted(f.closure, covariances[f.source])) for f in closed.found]
     judged, estimate = judge(closed.navigation, found, settings)
     poses = to_matrices(estimate.poses, closed.poses)
     return dataclasses.replace(closed, poses=poses, estimate=estimate, found=judged)
 
 
-def _weighted(closure: Closure, Q: np.ndarray) -> Closure:
-    if np.isnan(Q).any():
-        return dataclasses.replace(closure, A=np.zeros((0, 2)), c=np.zeros(0))
+def _weighted(closure: Closure | None, Q: np.ndarray) -> Closure | None:
+    if closure is None or np.isnan(Q).any():
+        return None
     R = rotate(np.eye(2), float(closure.tie.tied_source[2])).T
     return closure.with_covariance(R @ Q @ R.T)
 
