@@ -1,6 +1,7 @@
 """Table V's runs: every method on the same ends, the same gates, and drifts that are what they are said to be."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pointnetkl.simulation import vehicle
 from pointnetkl.slam.closing import comparison, drift, schemas
 from pointnetkl.slam.closing.comparison import Results, Settings, Track
 from pointnetkl.slam.closing.estimate import ClosingError
-from pointnetkl.workflow import parameters
+from pointnetkl.workflow import artifacts, parameters
 from simulated_survey import PARAMS
 
 SETTINGS = Settings(seed=1, drifts=2, believed=[1.0, 3.0])
@@ -90,7 +91,7 @@ def test_drifts_are_drawn_about_a_truth_that_lies_elsewhere():
     assert np.hypot(*offsets[0].T).max() < 3 * np.hypot(*offsets[1].T).max() < 30.0
 
 
-def test_poses_and_closures_are_of_the_recorded_navigation_by_map(results: Results):
+def test_poses_and_closures_are_of_the_recorded_navigation_by_map(results: Results, tmp_path: Path):
     poses, closures = results.poses, results.closures
     assert list(poses.columns) == schemas.POSES.names
     assert list(closures.columns) == schemas.CLOSURES.names
@@ -99,6 +100,9 @@ def test_poses_and_closures_are_of_the_recorded_navigation_by_map(results: Resul
     rms = np.sqrt(np.mean((poses["x_m"] - truth[:, 0, 3]) ** 2 + (poses["y_m"] - truth[:, 1, 3]) ** 2))
     run = results.rows[(results.rows["run"] == 0) & (results.rows["method"] == "map")].iloc[0]
     assert rms == pytest.approx(run["as_it_is_m"], rel=1e-9)
+    for name, table, schema in (("r", results.rows, schemas.ROWS), ("c", closures, schemas.CLOSURES)):
+        artifacts.write_table(tmp_path / f"{name}.parquet", table, schema, {})
+        assert len(artifacts.read_table(tmp_path / f"{name}.parquet", schema)) == len(table)
     shares = closures.groupby("source")["share"].sum()
     assert shares.to_numpy() == pytest.approx(np.ones(len(shares)))
     assert (closures["target"] < closures["source"] - 1).all()
@@ -196,3 +200,16 @@ def test_simulated_rates_are_those_that_section_vehicles_sails():
     for name in parameters.read(PARAMS, "vehicles", dict):
         sails = of_vehicle(parameters.read(PARAMS, f"vehicles.{name}", vehicle.Settings).navigation)
         assert dataclasses.astuple(stated["simulated"]) == pytest.approx(dataclasses.astuple(sails), rel=1e-3)
+
+
+def test_a_submap_without_a_match_is_a_row_that_can_be_read_again(tmp_path: Path):
+    sailed = track()
+    closed = closable.sail("hills").close(sailed.navigation)
+    found = [dataclasses.replace(closed.found[0], closure=None, state=schemas.State.UNMATCHED), *closed.found[1:]]
+    closures = comparison.closures(sailed, dataclasses.replace(closed, found=found))
+    artifacts.write_table(tmp_path / "closures.parquet", closures, schemas.CLOSURES, {})
+    rows = artifacts.read_table(tmp_path / "closures.parquet", schemas.CLOSURES)
+    first = rows[rows["source"] == 100 + closed.found[0].source]
+    assert first["state"].tolist() == ["unmatched"] * len(closed.found[0].targets)
+    assert (first["rank"] == 0).all()
+    assert first["residual_m"].isna().all()

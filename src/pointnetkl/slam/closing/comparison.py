@@ -97,9 +97,8 @@ def compare(track: Track, rivals: Covariances, settings: Settings, registration:
     one = functools.partial(_run, track, rivals, settings, registration)
     outcomes = compute.over(one, runs, f"close {track.survey}", unit="drift")
     rows = pd.DataFrame([row for part in outcomes for row in part[0]], columns=ROWS.names)
-    rows = rows.astype(dict.fromkeys(("closures", "accepted", "flat"), "Int32"))  # null of navigation
     recorded = outcomes[0][1]
-    return Results(rows, _poses(track, recorded), _closures(track, recorded))
+    return Results(rows, _poses(track, recorded), closures(track, recorded))
 
 
 def none() -> Results:
@@ -183,10 +182,16 @@ def _poses(track: Track, closed: Closed) -> pd.DataFrame:
     return pd.DataFrame({**key, **columns})[POSES.names]
 
 
-def _closures(track: Track, closed: Closed) -> pd.DataFrame:
+def closures(track: Track, closed: Closed) -> pd.DataFrame:
+    """Return what became of a survey's closures (schemas.CLOSURES)."""
     rows = []
     for f in closed.found:
-        of_all: dict[str, Any] = {"survey": track.survey, "source": track.number[f.source], "state": str(f.state)}
+        of_all: dict[str, Any] = {
+            "survey": track.survey,
+            "source": track.number[f.source],
+            "state": str(f.state),
+            "rank": 0,
+        }
         c = f.closure
         if c is not None:
             of_all |= {
@@ -199,4 +204,4 @@ def _closures(track: Track, closed: Closed) -> pd.DataFrame:
         rows += [
             of_all | {"target": track.number[k], "share": share} for k, share in zip(f.targets, shares, strict=True)
         ]
-    return pd.DataFrame(rows, columns=CLOSURES.names).astype({"rank": "Int32"})
+    return pd.DataFrame(rows, columns=CLOSURES.names)

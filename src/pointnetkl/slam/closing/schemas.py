@@ -16,8 +16,8 @@ ROWS = pa.schema(
         ("pose_nees", pa.float64()),  # of x and y, 1 is right; null where the truth is not known
         # of closures whose matches fit, at navigation's poses: 1 where drift and closures are as sure as they say
         ("variance_factor", pa.float64()),
-        # submaps that return to mapped ground; of them accepted, and those whose ground says nothing; not of navigation
-        *((name, pa.int32()) for name in ("closures", "accepted", "flat")),
+        # submaps that return to mapped ground; of them accepted, and flat: their ground says nothing; null of navigation
+        *((name, pa.float64()) for name in ("closures", "accepted", "flat")),
     ]
 )
 # A row per submap: the recorded navigation, closed by method map, and one standard deviation of its place.
@@ -33,7 +33,7 @@ CLOSURES = pa.schema(
         ("target", pa.int32()),
         ("share", pa.float64()),  # of the registered points that lie over this target; null without a match
         ("state", pa.string()),  # accepted, or why not
-        ("rank", pa.int32()),  # directions that the ground holds
+        ("rank", pa.int32()),  # directions that the ground holds; 0 without a match, and the next columns null
         ("residual_m", pa.float64()),  # rms of its matches
         ("moved_m", pa.float64()),  # offset at which the search ended, length
         ("sigmas", pa.float64()),  # length of its whitened residual at the solved poses
