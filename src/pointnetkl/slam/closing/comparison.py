@@ -114,9 +114,8 @@ def drawn(track: Track, run: int, seed: int) -> Track:
     fix = replace(track.fix, x_m=track.fix.x_m + offset[0], y_m=track.fix.y_m + offset[1])
     sailed = replace(track, navigation=track.truth, fix=fix)
     rng = np.random.default_rng([seed, zlib.crc32(track.survey.encode()), run])
-    w, v = np.linalg.eigh(sailed.covariance(1.0))
-    error = v @ (np.sqrt(np.maximum(w, 0.0)) * rng.normal(size=len(w)))
-    plane = from_matrices(track.truth) + error.reshape(-1, 3)
+    L = np.linalg.cholesky(sailed.covariance(1.0))  # and no eigenvectors, whose signs hang on the last digit
+    plane = from_matrices(track.truth) + (L @ rng.normal(size=len(L))).reshape(-1, 3)
     return replace(sailed, navigation=to_matrices(plane, track.navigation))
 
 

@@ -16,7 +16,7 @@ ROWS = pa.schema(
         ("pose_nees", pa.float64()),  # of x and y, 1 is right; null where the truth is not known
         # of closures whose matches fit, at navigation's poses: 1 where drift and closures are as sure as they say
         ("variance_factor", pa.float64()),
-        # submaps that return to mapped ground; of them accepted, and flat: their ground says nothing; null of navigation
+        # submaps that return to mapped ground; of them accepted, and flat (ground says nothing); null of navigation
         *((name, pa.float64()) for name in ("closures", "accepted", "flat")),
     ]
 )
