@@ -6,6 +6,10 @@ navigation, so that what is left is the shape that drift gives it. Each is regis
 from a start that is N(0, prior) off. `share` is the least share of the stiffness that is ground: weak below 0.5, held
 above 0.9. `force` is f^T S^-1 f / M at the true place: 1 where blocks tell all of the variance. `--drift none` sails
 with navigation that knows, and shows what of it is drift.
+
+With --halves K, what one submap tells before there is a pair judges the same errors of MAP: `halves` is the covariance
+of K registrations by MAP of its soundings' halves, drawn anew each time, the best that a model of single submaps could
+learn; `own` is Q in closed form, with the mean of K halves' information in place of the pair's.
 """
 # ruff: noqa: E402
 
@@ -37,6 +41,7 @@ from pointnetkl.workflow import command, parameters, study
 NUMBERS, GATES = covariance.Settings(), factor.Settings()
 KNOWN = vehicle.Navigation(0.0, 0.0, 0.0, 300.0)
 WIDEST_M = 60.0  # between lines: swaths of 200 m overlap by more than half
+MEASURES = ("nees", "in_95", "nats")
 CLASSES = {"weak": (-np.inf, 0.5), "between": (0.5, 0.9), "held": (0.9, np.inf)}
 
 Row = dict[str, Any]
@@ -69,9 +74,10 @@ def closures(
 ) -> Iterator[Row]:
     """Yield a row for each loop closure of a survey that is sailed with another seed."""
     line = study.survey(arguments.params, survey)
-    clouds = list(sail(arguments, survey, seed, line.point_spacing_m, line.submap_length_m))
-    rng = np.random.default_rng([seed, 3])
-    for number, source in clouds:
+    soundings = list(sail(arguments, survey, seed, line.submap_length_m))
+    clouds = [(number, thinned(points, line.point_spacing_m)) for number, points in soundings]
+    rng, rng_halves = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
+    for (number, source), (_, points) in zip(clouds, soundings, strict=True):
         start = rng.normal(0, np.sqrt(prior_m2), 2)
         centre = source.mean(axis=0)
         mapped = [
@@ -85,13 +91,15 @@ def closures(
         common = cKDTree(target[:, :2]).query(source[:, :2] + start)[0] < line.point_spacing_m
         if common.mean() >= arguments.coverage:
             clouds_of_pair = gicp.prepare(source[common] - centre, settings), gicp.prepare(target - centre, settings)
-            yield closure(clouds_of_pair, start, line.point_spacing_m, settings, prior_m2)
+            row, error = closure(clouds_of_pair, start, line.point_spacing_m, settings, prior_m2)
+            if arguments.halves:
+                alone = halves(points - centre, arguments.halves, rng_halves, line.point_spacing_m, settings, prior_m2)
+                row |= {key: value for name, Q in alone.items() for key, value in judged(name, error, Q).items()}
+            yield row
 
 
-def sail(
-    arguments: argparse.Namespace, survey: str, seed: int, spacing_m: float, length_m: float
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the number of a line and the points (n, 3), in metres, of each submap of it, in its place."""
+def sail(arguments: argparse.Namespace, survey: str, seed: int, length_m: float) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the number of a line and the soundings (n, 3), in metres, of each submap of it, in its place."""
     settings = parameters.read(arguments.params, f"simulate.{survey}", simulation.Settings)
     if settings.terrain is None:
         raise submaps.BenchmarkError(f"{survey} has no terrain that another seed would change; leave it out")
@@ -104,7 +112,7 @@ def sail(
     ground = seabed.Random(settings.terrain, settings.seed, settings.crs, (easting, northing))
     for number, line in enumerate(simulation.survey(settings, sailing, ground)):
         for points in stretches(line, length_m):
-            yield number, thinned(points, spacing_m)
+            yield number, points
 
 
 def stretches(line: simulation.Line, length_m: float) -> Iterator[np.ndarray]:
@@ -130,8 +138,8 @@ def thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 def closure(
     clouds: tuple[gicp.Cloud, gicp.Cloud], start: np.ndarray, spacing_m: float, settings: pair.Settings, prior_m2: float
-) -> Row:
-    """Return how far both methods end from the truth, and how well Q tells it."""
+) -> tuple[Row, np.ndarray]:
+    """Return how far both methods end from the truth, and how well Q tells it; and MAP's error (2,), metres."""
     prior, block_m = prior_m2 * np.eye(2), NUMBERS.block_spacings * spacing_m
     truth = pair.at(*clouds, SE2.identity(), block_m, settings)
     S = truth.variance + covariance.LEAST_VARIANCE_M2 * np.eye(2)
@@ -140,14 +148,35 @@ def closure(
         end = pair.register(*clouds, prior, spacing_m, dataclasses.replace(settings, method=method), SE2(start, 0.0))
         error = end.T_target_source.translation
         Q = covariance.with_prior(covariance.information(end.forces, NUMBERS), prior, end.forces.lever_m, NUMBERS)
-        square = float(error @ np.linalg.solve(Q, error))
-        row |= {
-            f"{method}_error_m": float(np.hypot(*error)),
-            f"{method}_nees": square / 2,
-            f"{method}_in_95": float(square < 5.991),
-            f"{method}_nats": 0.5 * (float(np.linalg.slogdet(2 * np.pi * Q)[1]) + square),
-        }
-    return row | {"share": float(factor.of(end.forces, NUMBERS, GATES).shares[0])}  # of MAP's end, the last
+        row |= {f"{method}_error_m": float(np.hypot(*error))} | judged(method, error, Q)
+    row["share"] = float(factor.of(end.forces, NUMBERS, GATES).shares[0])  # of MAP's end, the last
+    return row, error
+
+
+def judged(name: str, error: np.ndarray, Q: np.ndarray) -> Row:
+    """Return how well a covariance (2, 2) tells an error (2,)."""
+    square = float(error @ np.linalg.solve(Q, error))
+    nats = 0.5 * (float(np.linalg.slogdet(2 * np.pi * Q)[1]) + square)
+    return {f"{name}_nees": square / 2, f"{name}_in_95": float(square < 5.991), f"{name}_nats": nats}
+
+
+def halves(
+    points: np.ndarray, runs: int, rng: np.random.Generator, spacing_m: float, settings: pair.Settings, prior_m2: float
+) -> dict[str, np.ndarray]:
+    """Return covariances (2, 2) of a submap's soundings (n, 3) that are registered half to half, and Q from them."""
+    prior, block_m = prior_m2 * np.eye(2), NUMBERS.block_spacings * spacing_m
+    errors, information = np.empty((runs, 2)), np.zeros((2, 2))
+    for k in range(runs):
+        first = rng.random(len(points)) < 0.5
+        clouds = [gicp.prepare(thinned(points[half], spacing_m), settings) for half in (first, ~first)]
+        start = SE2(rng.normal(0, np.sqrt(prior_m2), 2), 0.0)
+        errors[k] = pair.register(*clouds, prior, spacing_m, settings, start).T_target_source.translation
+        forces = pair.at(*clouds, SE2.identity(), block_m, settings)
+        information += covariance.information(forces, NUMBERS) / runs
+    return {
+        "halves": monte_carlo.covariance(errors) + covariance.drift_m2(forces.lever_m, NUMBERS) * np.eye(2),
+        "own": covariance.with_prior(information, prior, forces.lever_m, NUMBERS),
+    }
 
 
 def summary(table: pd.DataFrame) -> list[Row]:
@@ -166,7 +195,9 @@ def _means(closed: pd.DataFrame) -> Row:
     for method in pair.METHODS:
         row[f"{method}_median_m"] = float(closed[f"{method}_error_m"].median())
         row[f"{method}_rms_m"] = float(np.sqrt((closed[f"{method}_error_m"] ** 2).mean()))
-        row |= {f"{method}_{name}": float(closed[f"{method}_{name}"].mean()) for name in ("nees", "in_95", "nats")}
+    for name in [*pair.METHODS, "halves", "own"]:
+        if f"{name}_nees" in closed:
+            row |= {f"{name}_{measure}": float(closed[f"{name}_{measure}"].mean()) for measure in MEASURES}
     return row
 
 
@@ -178,6 +209,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seeds", type=int, default=2, help="of each survey")
     parser.add_argument("--drift", choices=["sailed", "none"], default="sailed", help="of the navigation")
     parser.add_argument("--coverage", type=float, default=0.5, help="share of a submap that earlier ones must cover")
+    parser.add_argument(
+        "--halves", type=int, default=0, metavar="K", help="judge what K halves of one submap tell, too; 0: do not"
+    )
     parser.add_argument("--json", action="store_true", help="end in one line of JSON")
     return parser
 

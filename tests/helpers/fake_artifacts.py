@@ -294,7 +294,7 @@ def _write_closing(folder: Path, fake: Fake, poses: np.ndarray, edges: np.ndarra
         errors = dict.fromkeys(closing_schemas.ERRORS, error if run == 0 or method != "map" else 4.0)
         counts = {"closures": len(edges), "accepted": len(edges) // 2, "flat": 0}
         key = {"survey": fake.name, "method": method, "run": run, "believed": 1.0}
-        rows.append(key | (errors | {"pose_nees": 1.0} if truth else {}) | counts)
+        rows.append(key | (errors | {"pose_nees": 1.0, "joined_95": 0.95} if truth else {}) | counts)
     rows.append(rows[2] | {"believed": 3.0})
     table_ = pd.DataFrame(rows).reindex(columns=closing_schemas.ROWS.names)
     artifacts.write_table(folder / f"{fake.name}.parquet", table_, closing_schemas.ROWS, {})

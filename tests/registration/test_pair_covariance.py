@@ -13,7 +13,7 @@ from pointnetkl.registration.pair import covariance
 from pointnetkl.surveys.se2 import SE2
 
 DOFS = ("xy", "xyyaw")
-PLAIN = dataclasses.replace(NUMBERS, inflation=1.0, drift_m2=1e-12)  # what the blocks alone say
+PLAIN = dataclasses.replace(NUMBERS, inflation=1.0, drift_share=1e-8)  # what the blocks alone say
 DRAWS = 300
 FORCES = ("stiffness", "ground", "chance")
 
@@ -114,8 +114,8 @@ def test_a_direction_that_nothing_holds_costs_the_other_none_of_its_digits() -> 
     X, S = R @ np.diag([1e4, 1e-9]) @ R.T, R @ np.diag([1e3, 1e1]) @ R.T
     K = covariance.information(forces(X, S), NUMBERS)
     V = R.T @ covariance.without_prior(K, 40.0, NUMBERS) @ R
-    assert V[0, 0] == pytest.approx(NUMBERS.inflation * 1e3 / 1e8 + NUMBERS.drift_m2, rel=1e-9)
-    assert V[1, 1] == pytest.approx(NUMBERS.largest_m2 + NUMBERS.drift_m2, rel=1e-6)
+    assert V[0, 0] == pytest.approx(NUMBERS.inflation * 1e3 / 1e8 + covariance.drift_m2(40.0, NUMBERS), rel=1e-9)
+    assert V[1, 1] == pytest.approx(NUMBERS.largest_m2 + covariance.drift_m2(40.0, NUMBERS), rel=1e-6)
 
 
 def test_a_negative_eigenvalue_of_x_is_noise_and_tells_nothing() -> None:
@@ -131,11 +131,9 @@ def test_forces_in_too_few_blocks_tell_nothing() -> None:
 def test_without_information_q_is_the_prior_and_v_the_largest(dof: str) -> None:
     m, lever_m = SETTINGS[dof].dimensions, 40.0
     scale = np.diag(covariance.levers(lever_m, m) ** -2)
-    K = np.zeros((m, m))
-    assert covariance.with_prior(K, prior(dof), lever_m, NUMBERS) == pytest.approx(
-        prior(dof) + NUMBERS.drift_m2 * scale
-    )
-    expected = (NUMBERS.largest_m2 + NUMBERS.drift_m2) * scale
+    K, b = np.zeros((m, m)), covariance.drift_m2(lever_m, NUMBERS)
+    assert covariance.with_prior(K, prior(dof), lever_m, NUMBERS) == pytest.approx(prior(dof) + b * scale)
+    expected = (NUMBERS.largest_m2 + b) * scale
     assert covariance.without_prior(K, lever_m, NUMBERS) == pytest.approx(expected)
 
 
@@ -218,7 +216,7 @@ def test_a_prior_that_is_no_covariance_is_refused(bad: np.ndarray) -> None:
         covariance.with_prior(np.eye(2), bad, 40.0, NUMBERS)
 
 
-@pytest.mark.parametrize("name", ["inflation", "drift_m2", "block_spacings", "largest_m2"])
+@pytest.mark.parametrize("name", ["inflation", "drift_share", "block_spacings", "largest_m2"])
 def test_numbers_out_of_range_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         dataclasses.replace(NUMBERS, **{name: 0.0})

@@ -12,7 +12,7 @@ from pointnetkl.registration.covariance import catalogue
 from pointnetkl.simulation import vehicle
 from pointnetkl.slam.closing import comparison, drift, schemas
 from pointnetkl.slam.closing.comparison import Results, Settings, Track
-from pointnetkl.slam.closing.estimate import ClosingError
+from pointnetkl.slam.closing.estimate import ClosingError, Estimate, Tie
 from pointnetkl.workflow import artifacts, parameters
 from simulated_survey import PARAMS
 
@@ -77,7 +77,7 @@ def test_navigation_has_errors_and_no_closures(results: Results):
     before = results.rows[results.rows["method"] == "navigation"]
     assert len(before) == 3
     assert before[["closures", "accepted", "flat", "variance_factor"]].isna().all(axis=None)
-    assert before[[*schemas.ERRORS, "pose_nees"]].notna().all(axis=None)
+    assert before[[*schemas.ERRORS, "pose_nees", "joined_95"]].notna().all(axis=None)
 
 
 def test_drifts_are_drawn_about_a_truth_that_lies_elsewhere():
@@ -120,6 +120,19 @@ def test_drawn_drifts_have_the_covariance_that_is_believed():
     assert comparison.drawn(sailed, 0, 5) is sailed
 
 
+@pytest.mark.parametrize(("believed", "share"), [(1.0, 0.95), (1 / 3, 0.28)])  # of chi2 with 2 degrees: 5.99, 5.99 / 9
+def test_ellipses_of_the_poses_hold_the_errors_of_pairs_that_they_say(believed: float, share: float):
+    sailed = track()
+    within = []
+    for run in range(1, 200):
+        drawn = comparison.drawn(sailed, run, 5)
+        start = Estimate(comparison.from_matrices(drawn.navigation), drawn.covariance(believed))
+        last = len(drawn.number) - 1
+        tie = Tie.at(start.poses, last, [0, last // 2], np.array([0.3, 0.7]), np.array([2.0, -1.0]))
+        within.append(comparison.errors(drawn.navigation, start, drawn.truth, [tie])["joined_95"])
+    assert np.mean(within) == pytest.approx(share, abs=0.06)
+
+
 @pytest.mark.parametrize("truly", [1.0, 3.0])
 def test_the_variance_factor_tells_how_far_drift_is_understated(truly: float):
     sailed = track()
@@ -150,7 +163,7 @@ def test_without_a_truth_the_recorded_navigation_is_closed_and_no_error_known():
     unknown = dataclasses.replace(sailed, truth=np.full_like(sailed.truth, np.nan))
     found = comparison.compare(unknown, {}, SETTINGS, closable.REGISTRATION)
     assert found.rows["run"].tolist() == [0] * len(found.rows)
-    assert found.rows[[*schemas.ERRORS, "pose_nees"]].isna().all(axis=None)
+    assert found.rows[[*schemas.ERRORS, "pose_nees", "joined_95"]].isna().all(axis=None)
     assert (found.rows["accepted"] > 0).any()
 
 

@@ -25,8 +25,8 @@ class Settings:
         ValueError: a setting is out of its range.
     """
 
-    inflation: float = 2.0  # a, of the variance of forces; 1.7 to 3.0 in every fit to simulated surveys
-    drift_m2: float = 1e-3  # b: of a submap's own shape, by drift inside it, squared
+    inflation: float = 3.0  # a, of the variance of forces
+    drift_share: float = 5e-4  # of the lever: root of b, what drift inside a submap does to its shape
     block_spacings: float = 8.0  # edge of the blocks that the variance of forces is taken by
     largest_m2: float = 1e4  # of V, where the ground holds nothing
     without_chance: bool = (
@@ -35,7 +35,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        require_positive(self, "inflation", "drift_m2", "block_spacings", "largest_m2")
+        require_positive(self, "inflation", "drift_share", "block_spacings", "largest_m2")
 
 
 def information(forces: Forces, settings: Settings) -> np.ndarray:
@@ -81,10 +81,15 @@ def without_prior(K: np.ndarray, lever_m: float, settings: Settings) -> np.ndarr
     return np.asarray(V / np.outer(lever, lever) + _drift(lever_m, settings, len(K)))
 
 
+def drift_m2(lever_m: float, settings: Settings) -> float:
+    """Return b, m^2: what drift inside a submap adds to the variance of its place, whatever the ground."""
+    return (settings.drift_share * lever_m) ** 2
+
+
 def levers(lever_m: float, dimensions: int) -> np.ndarray:
     """Return what a motion's entries (M,) count in metres: 1, 1 and the lever."""
     return np.array([1.0, 1.0, lever_m])[:dimensions]
 
 
 def _drift(lever_m: float, settings: Settings, dimensions: int) -> np.ndarray:
-    return np.asarray(np.diag(settings.drift_m2 / levers(lever_m, dimensions) ** 2))
+    return np.asarray(np.diag(drift_m2(lever_m, settings) / levers(lever_m, dimensions) ** 2))

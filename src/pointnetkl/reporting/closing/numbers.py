@@ -14,7 +14,7 @@ from pointnetkl.slam.closing.schemas import CLOSURES, ERRORS, POSES, ROWS
 from pointnetkl.workflow import artifacts
 
 WORSE = 1.02  # times navigation's error: more is worse
-_MEANS, _COUNTS = ("pose_nees", "variance_factor"), ("closures", "accepted", "flat")
+_MEANS, _COUNTS = ("pose_nees", "joined_95", "variance_factor"), ("closures", "accepted", "flat")
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ def read(reports: Path, surveys: Iterable[str]) -> Closings:
 def summarise(rows: pd.DataFrame) -> dict[str, Any]:
     """Return what metrics.json holds under `closing`: by survey and method, with the believed drift after the name.
 
-    Errors are root mean squares over the runs, pose_nees, variance_factor and counts are means, `worse` counts runs
-    whose error as it is is more than WORSE times that of navigation in the same run. Errors are NaN where the truth is
-    not known.
+    Errors are root mean squares over the runs; pose_nees, joined_95, variance_factor and counts are means; `worse`
+    counts runs whose error as it is is more than WORSE times that of navigation in the same run. Errors are NaN where
+    the truth is not known.
     """
     numbers: dict[str, Any] = {}
     for (survey,), of_survey in groups(rows, ["survey"]):

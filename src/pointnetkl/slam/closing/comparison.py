@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from pointnetkl.registration import pair
 from pointnetkl.registration.covariance import catalogue
@@ -155,7 +156,7 @@ def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed, 
 
 
 def errors(poses: np.ndarray, estimate: Estimate, truth: np.ndarray, ties: Sequence[Tie]) -> dict[str, float]:
-    """Return the errors of poses (n, 4, 4) against the truth, by schemas.ERRORS, and pose_nees; NaN if not known.
+    """Return the errors of poses (n, 4, 4) against the truth, by schemas.ERRORS, pose_nees and joined_95; NaN if unknown.
 
     `estimate` has the covariance of the poses; `ties` are of the pairs that joined_m is of.
     """
@@ -164,12 +165,20 @@ def errors(poses: np.ndarray, estimate: Estimate, truth: np.ndarray, ties: Seque
     plane, true = from_matrices(poses), from_matrices(truth)
     apart = np.array([tie.offset(plane) - tie.offset(true) for tie in ties]).reshape(-1, 2)
     variances = estimate.marginals[:, :2, :2]
+    relative = np.array([tie.variance(estimate) for tie in ties]).reshape(-1, 2, 2)
+    within = _squares(apart, relative) <= stats.chi2.ppf(0.95, 2)
     return {
         "as_it_is_m": trajectory_error.rmse(poses[:, :2, 3], truth[:, :2, 3]),
         "se2_m": trajectory_error.rmse(aligned[:, :2], truth[:, :2, 3]),
         "joined_m": float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if ties else float("nan"),
-        "pose_nees": float(np.mean(np.einsum("ni,ni->n", e, np.linalg.solve(variances, e[:, :, None])[:, :, 0])) / 2),
+        "pose_nees": float(np.mean(_squares(e, variances)) / 2),
+        "joined_95": float(within.mean()) if ties and np.isfinite(apart).all() else float("nan"),
     }
+
+
+def _squares(e: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    # e^T V^-1 e (n,) of errors (n, 2)
+    return np.einsum("ni,ni->n", e, np.linalg.solve(variances, e[:, :, None])[:, :, 0])
 
 
 def _poses(track: Track, closed: Closed) -> pd.DataFrame:

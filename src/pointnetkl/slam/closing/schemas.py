@@ -13,7 +13,10 @@ ROWS = pa.schema(
         ("run", pa.int32()),  # 0: navigation as recorded; others: drifts drawn about the truth
         ("believed", pa.float64()),  # factor of the drift's sigmas
         *((name, pa.float64()) for name in ERRORS),  # rms against the truth; null where it is not known
-        ("pose_nees", pa.float64()),  # of x and y, 1 is right; null where the truth is not known
+        # of x and y, 1 is right, and the share of joined pairs whose error lies in the 95 % ellipse that the poses'
+        # covariance gives it; null where the truth is not known
+        ("pose_nees", pa.float64()),
+        ("joined_95", pa.float64()),
         # of closures whose matches fit, at navigation's poses: 1 where drift and closures are as sure as they say
         ("variance_factor", pa.float64()),
         # submaps that return to mapped ground; of them accepted, and flat (ground says nothing); null of navigation
