@@ -156,9 +156,10 @@ def _row(sailed: Track, method: str, run: int, believed: float, closed: Closed, 
 
 
 def errors(poses: np.ndarray, estimate: Estimate, truth: np.ndarray, ties: Sequence[Tie]) -> dict[str, float]:
-    """Return the errors of poses (n, 4, 4) against the truth, by schemas.ERRORS, pose_nees and joined_95; NaN if unknown.
+    """Return the errors of poses (n, 4, 4) against the truth: schemas.ERRORS, pose_nees and joined_95.
 
-    `estimate` has the covariance of the poses; `ties` are of the pairs that joined_m is of.
+    They are NaN where the truth is not known. `estimate` has the covariance of the poses; `ties` are of the pairs that
+    joined_m is of.
     """
     e = (poses - truth)[:, :2, 3]
     aligned = trajectory_error.align_se2(poses[:, :3, 3], truth[:, :3, 3])
