@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
     command = shared.parser(
         commands, "predict", "print covariances of submaps in files, by a trained model", _DESCRIPTION, _EPILOG
     )
-    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, such as models/network.pt")
+    command.add_argument("model", type=Path, metavar="MODEL", help=shared.MODEL)
     command.add_argument("submaps", type=Path, nargs="+", metavar="SUBMAP", help="files of one submap each")
     command.add_argument("--json", action="store_true", help="print a JSON list with an object for each file")
     command.set_defaults(run=run)

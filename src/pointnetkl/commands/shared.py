@@ -12,6 +12,7 @@ from pointnetkl.workflow.errors import PointNetKLError
 
 EDGES = ("all", "shared")  # ways to count edges, as slam.edges of the parameters
 DIALECTS = ("g2o", "gtsam")  # as exchange.g2o.DIALECTS, whose import takes seconds
+MODEL = "network or pointnetkl, which come with the package, or a trained model's file, such as models/network.pt"
 DIALECTS_HELP = """\
 dialects of a g2o file:
   gtsam  metres and radians, as GTSAM reads and writes files

@@ -49,7 +49,7 @@ def add(commands: Any) -> None:
     command = shared.parser(
         commands, "slam", "build and optimise the pose graph of submaps in files", _DESCRIPTION, _EPILOG
     )
-    command.add_argument("model", type=Path, metavar="MODEL", help="a trained model, such as models/network.pt")
+    command.add_argument("model", type=Path, metavar="MODEL", help=shared.MODEL)
     command.add_argument("submaps", type=Path, nargs="+", metavar="SUBMAP", help="PCD files, in the order of the track")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder to write to")
     command.add_argument(
