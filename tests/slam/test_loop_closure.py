@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pointnetkl.registration import gicp
 from pointnetkl.slam.closures import graph_construction, loop_closure, reference
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures
@@ -15,6 +16,7 @@ from pointnetkl.surveys.se2 import SE2
 from toy_survey import REGISTRATION, SETTINGS, SPACING, graph, sail
 
 WITH_YAW = dataclasses.replace(REGISTRATION, dof="xyyaw")
+BY_MAP = dataclasses.replace(SETTINGS, method="map")
 SUBMAPS = pd.DataFrame({"time_s": [1.0], "yaw_rad": [np.pi]})
 HEADING = pd.DataFrame({"time_s": [0.0, 2.0], "yaw_rad": [3.1, -3.1]})
 TRAJECTORY = pd.DataFrame({"time_s": [0.0, 2.0], "x_m": [0.0, 4.0], "y_m": 1.0, "z_m": -5.0, "yaw_rad": [3.1, -3.1]})
@@ -172,6 +174,28 @@ def test_flat_ground_does_not_pull_a_half_covered_submap_across_its_target():
     assert errors[0] < 2.0 < 5.0 < errors[1]
 
 
+@pytest.mark.parametrize("registration", [REGISTRATION, WITH_YAW])
+def test_map_finds_the_relative_poses_too(registration: gicp.Settings):
+    submaps, truth = sail(3, 4)
+    starts = loop_closure.starts("toy", submaps, SETTINGS, registration.dimensions)
+    by_map = loop_closure.close(submaps, truth, starts, SPACING, BY_MAP, registration)
+    by_gicp = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, registration)
+    assert by_map.node.tolist() == by_gicp.node.tolist()
+    assert np.abs(survey_graph.errors(by_map, truth)[:, :2]).max() < 0.2
+    assert not np.array_equal(by_map.correction, by_gicp.correction)
+
+
+def test_by_map_flat_ground_leaves_a_submap_nearer_to_its_start_than_by_gicp():
+    submaps, truth = sail(2, 3)
+    flat = [dataclasses.replace(s, points=s.points * [1, 1, 0] - [0, 0, 40]) for s in submaps]
+    starts = loop_closure.starts("toy", submaps, SETTINGS)
+    moved = []
+    for settings in (BY_MAP, SETTINGS):
+        closures = loop_closure.close(flat, truth, starts, SPACING, settings, REGISTRATION)
+        moved.append(np.abs(closures.correction - closures.start[:, :2]).max())
+    assert moved[0] < 1e-3 < 1e-1 < moved[1]
+
+
 def test_errors_are_in_the_source_frame():
     closures, truth = close(2, 3)
     missed = truth.copy()
@@ -258,6 +282,13 @@ def test_submaps_without_poses_are_refused():
 def test_settings_without_sense_are_refused(name: str, value: float):
     with pytest.raises(ValueError, match=f"^{name} is"):
         dataclasses.replace(SETTINGS, **{name: value})
+
+
+def test_a_method_that_is_none_and_map_without_a_prior_are_refused():
+    with pytest.raises(ValueError, match="^method is 'icp', must be gicp or map"):
+        dataclasses.replace(SETTINGS, method="icp")
+    with pytest.raises(ValueError, match="^prior_variance_m2 is 0.0, must be above zero"):
+        dataclasses.replace(BY_MAP, prior_variance_m2=0.0)
 
 
 @pytest.mark.parametrize("dof", ["xy", "xyyaw"])

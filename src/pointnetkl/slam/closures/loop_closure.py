@@ -2,13 +2,13 @@
 
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pointnetkl.registration import gicp
+from pointnetkl.registration import gicp, pair
 from pointnetkl.slam.graph import footprint
 from pointnetkl.slam.graph.pose_graph import ClosureNoise, DeadReckoningNoise, Edges
 from pointnetkl.slam.graph.survey_graph import Closures
@@ -40,6 +40,7 @@ class Settings:
     dead_reckoning: DeadReckoningNoise
     loop_closure: ClosureNoise
     prior_yaw_sigma_rad: float = 0.03  # of the perturbations' yaw, where registrations find yaw
+    method: str = "gicp"  # of registering loop closures: gicp (the paper), or map, with the perturbations' prior
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their range."""
@@ -52,6 +53,10 @@ class Settings:
         require_within(self, 0.0, np.pi, "prior_yaw_sigma_rad")
         if self.overlap_factor is not None:
             require_positive(self, "overlap_factor")
+        if self.method not in pair.METHODS:
+            raise ValueError(f"method is {self.method!r}, must be {' or '.join(pair.METHODS)}")
+        if self.method == "map":
+            require_positive(self, "prior_variance_m2", "prior_yaw_sigma_rad")  # MAP weights the start with them
 
 
 def starts(
@@ -90,7 +95,7 @@ def close(
             reckoning from the corrected pose of the submap before, as a vehicle does whose poses drift.
         spacing: of neighbouring points in metres, the unit of `cell_factor` and `overlap_factor`.
         settings: the required coverage, and those factors.
-        registration: settings of GICP.
+        registration: settings of GICP, whose neighbours, plane_epsilon and so on MAP has too.
 
     Raises:
         LoopClosureError: the numbers of submaps and poses differ.
@@ -109,14 +114,31 @@ def close(
     return front.closures()
 
 
+class MapSearch(NamedTuple):
+    """How a cloud is registered to its most probable place (pair.register)."""
+
+    prior: np.ndarray  # (M, M) variance of starts, m^2 and rad^2
+    spacing_m: float  # of neighbouring points
+    settings: pair.Settings
+
+
 class Ground:
     """Mapped ground, the target of registrations: points (n, 3) in the map frame."""
 
     def __init__(
-        self, points: np.ndarray, origin: np.ndarray, reach: float | None, registration: gicp.Settings
+        self,
+        points: np.ndarray,
+        origin: np.ndarray,
+        reach: float | None,
+        registration: gicp.Settings,
+        search: MapSearch | None = None,
     ) -> None:
-        """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count."""
+        """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count.
+
+        Without a search clouds are registered by GICP.
+        """
         self._origin, self._reach, self._registration = origin, reach, registration  # small coordinates round less
+        self._search = search
         local = points - origin
         self._tree = None if reach is None else cKDTree(local[:, :2])
         self._target = gicp.prepare(local, registration)
@@ -154,12 +176,18 @@ class Ground:
             return None
         return gicp.part(whole, near, self._registration)
 
-    def register_part(self, part: gicp.Source, start: SE2) -> tuple[SE2, bool] | None:
+    def register_part(self, part: gicp.Cloud | gicp.Part, start: SE2) -> tuple[SE2, bool] | None:
         """Return the result of `register` for a part of the cloud that was taken at this start."""
-        outcome = gicp.register(part, self._target, self._registration, self.to_target(start))
+        outcome = self._estimate(part, self.to_target(start))
         if outcome.matched_share == 0:
             return None
         return self.to_map(outcome.T_target_source), outcome.converged
+
+    def _estimate(self, part: gicp.Cloud | gicp.Part, start: SE2) -> gicp.Registration | pair.Estimate:
+        if self._search is None:
+            return gicp.register(part, self._target, self._registration, start)
+        prior, spacing_m, settings = self._search
+        return pair.register(part, self._target, prior, spacing_m, settings, start)
 
     def to_target(self, motion: SE2) -> SE2:
         """Return a motion about the origin as `registration` takes it: about the target's centre."""
@@ -205,6 +233,10 @@ class _FrontEnd:
     def __init__(self, spacing: float, settings: Settings, registration: gicp.Settings) -> None:
         self._footprints = footprint.Footprints(settings.cell_factor * spacing)
         self._share, self._registration = settings.coverage, registration
+        self._search = None
+        if settings.method == "map":
+            prior = np.diag(start_sigmas(settings, registration.dimensions) ** 2)
+            self._search = MapSearch(prior, spacing, pair.Settings(**asdict(registration), method="map"))
         self._reach = None if settings.overlap_factor is None else settings.overlap_factor * spacing
         self._clouds: list[np.ndarray] = []
         self._T_map_submap: list[np.ndarray] = []
@@ -235,7 +267,8 @@ class _FrontEnd:
     def _register(self, cloud: np.ndarray, targets: np.ndarray, start: SE2) -> tuple[SE2, bool] | None:
         """Return the motion that aligns a cloud with its targets, and whether it converged; None without a match."""
         fused = np.concatenate([self._clouds[k] for k in targets])
-        return Ground(fused, cloud.mean(axis=0), self._reach, self._registration).register(cloud, start)
+        ground = Ground(fused, cloud.mean(axis=0), self._reach, self._registration, self._search)
+        return ground.register(cloud, start)
 
     def _place(self, cloud: np.ndarray, T_map_submap: np.ndarray) -> None:
         self._footprints.add(cloud)
