@@ -12,6 +12,7 @@ from pairs import SETTINGS, SPACING_M, prior
 from pointnetkl.labels import shards
 from pointnetkl.registration import gicp, pair
 from pointnetkl.registration.pair import compilation, reference
+from pointnetkl.slam.closing import search
 from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow import parameters
 
@@ -69,6 +70,12 @@ def test_the_parameters_of_registration_are_those_of_a_pair_and_gicp_s_own_are_u
     settings = parameters.read(params, "registration", pair.Settings)
     assert settings.method == "gicp"
     assert settings.as_gicp == parameters.read(params, "registration", gicp.Settings)
+
+
+def test_the_parameters_of_closing_are_the_defaults_that_benchmarks_take() -> None:
+    settings = parameters.read(Path(__file__).parents[2] / "params.yaml", "close.closing.search", search.Settings)
+    assert settings.numbers == pair.covariance.Settings()
+    assert settings.gates == pair.factor.Settings()
 
 
 def test_kernels_are_compiled_again_when_any_file_of_theirs_or_of_gicp_s_changes(

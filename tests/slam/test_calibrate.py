@@ -4,6 +4,7 @@ import dataclasses
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ import yaml
 
 from pointnetkl.models import model_file
 from pointnetkl.models import pointnetkl as network
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration import gicp, monte_carlo, pair
 from pointnetkl.registration.covariance import table
 from pointnetkl.slam.closures import errors as closure_errors
 from pointnetkl.slam.closures import loop_closure, placed, terrain
@@ -33,7 +34,7 @@ def measure(
     survey: tuple[list[submap.Submap], SurveyGraph], registration: gicp.Settings = REGISTRATION, runs: int = 60
 ) -> closure_errors.Measured:
     """Return the tables of a toy survey."""
-    setup = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration)
+    setup = closure_errors.Setup(SPACING, SETTINGS, LABEL, registration, pair.covariance.Settings())
     return closure_errors.measure(survey[1], survey[0], dataclasses.replace(CHOSEN, runs=runs), setup)
 
 
@@ -206,7 +207,8 @@ def write(folder: Path, survey: tuple[list[submap.Submap], SurveyGraph], submaps
     metadata = {name: parameters.as_metadata(values) for name, values in made_with.items()}
     artifacts.write_arrays(folder / "graph.npz", survey_graph.to_arrays(survey[1]), metadata)
     sections = {"calibrate": closure_errors.Settings(5, 4), "label": LABEL}
-    params = {name: parameters.as_metadata(values) for name, values in sections.items()}
+    params: dict[str, Any] = {name: parameters.as_metadata(values) for name, values in sections.items()}
+    params["close"] = {"closing": {"search": {"numbers": parameters.as_metadata(pair.covariance.Settings())}}}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     command = [sys.executable, str(ROOT / "pipeline/calibrate.py"), "toy", "--params", "params.yaml"]
     settings = network.Settings(scale_input=True, hidden_layers=1, hidden_width=8, dropout=0.0)

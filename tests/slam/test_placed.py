@@ -27,7 +27,7 @@ def measured() -> closure_errors.Measured:
     """The tables of the toy survey."""
     submaps, graph = toy_survey.graph()
     label = monte_carlo.Settings(2, "same", 1.0, 0.02, 0)
-    setup = closure_errors.Setup(toy_survey.SPACING, toy_survey.SETTINGS, label, toy_survey.REGISTRATION)
+    setup = closure_errors.Setup(toy_survey.SPACING, toy_survey.SETTINGS, label, toy_survey.REGISTRATION, pairs.NUMBERS)
     return closure_errors.measure(graph, submaps, closure_errors.Settings(5, 4), setup)
 
 
@@ -146,7 +146,9 @@ def test_a_submap_whose_own_frame_is_turned_has_errors_and_covariances_that_are_
     for R in (np.eye(4), turn):
         points = pose.transform(R, submaps[3].points)
         source = Submap("toy", 3, points, points[::2], points[1::2])
-        there = placed.Placed(source, truth[3] @ np.linalg.inv(R), targets, toy_survey.SPACING, 2.0, registration)
+        there = placed.Placed(
+            source, truth[3] @ np.linalg.inv(R), targets, toy_survey.SPACING, 2.0, registration, pairs.NUMBERS
+        )
         judged.append(there.judge(there.register(starts), sigmas, 0.0)[0])
     rotation = np.eye(m)
     rotation[:2, :2] = turn[:2, :2]
@@ -160,7 +162,9 @@ def test_a_submap_whose_own_frame_is_turned_has_errors_and_covariances_that_are_
 def test_a_start_without_a_perturbation_has_its_covariances_all_the_same():
     submaps, truth = toy_survey.sail(2, 2)
     targets = [pose.transform(truth[0], submaps[0].points)]
-    there = placed.Placed(submaps[3], truth[3], targets, toy_survey.SPACING, 2.0, toy_survey.REGISTRATION)
+    there = placed.Placed(
+        submaps[3], truth[3], targets, toy_survey.SPACING, 2.0, toy_survey.REGISTRATION, pairs.NUMBERS
+    )
     (judged,) = there.judge(there.register(np.zeros((1, 2))), np.zeros(2), 0.0)
     for one in judged:
         assert (np.linalg.eigvalsh(one.covariance) > 0).all()
@@ -172,7 +176,9 @@ def test_errors_of_the_pair_s_ends_are_as_large_as_q_says():
         for number in range(8):
             points = [pairs.points(kind, 2 * number + k) for k in (0, 1)]
             source = Submap("toy", number, points[0], points[0][::2], points[0][1::2])
-            there = placed.Placed(source, np.eye(4), [points[1]], pairs.SPACING_M, None, pairs.GICP.as_gicp)
+            there = placed.Placed(
+                source, np.eye(4), [points[1]], pairs.SPACING_M, None, pairs.GICP.as_gicp, pairs.NUMBERS
+            )
             start = np.random.default_rng(number).normal(0, SIGMA_M, (1, 2))
             for one in there.judge(there.register(start), np.full(2, SIGMA_M), pairs.NOISE_M)[0]:
                 squares.append((one.method, one.error @ np.linalg.solve(one.covariance, one.error) / 2))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from pointnetkl.registration import gicp, monte_carlo
+from pointnetkl.registration import gicp, monte_carlo, pair
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.registration.covariance.catalogue import MEASURED_PAIR, SPLIT
 from pointnetkl.registration.streams import Stream
@@ -55,12 +55,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Setup:
-    """The settings of a survey's graph, its labels and its registrations."""
+    """The settings of a survey's graph, its labels, its registrations and their covariances."""
 
     spacing_m: float  # of neighbouring points
     graph: loop_closure.Settings
     label: monte_carlo.Settings
     registration: gicp.Settings
+    numbers: pair.covariance.Settings  # of Q of a pair
 
     @property
     def reach_m(self) -> float | None:
@@ -147,7 +148,8 @@ def _measure(
     random = rng.normal(0.0, sigmas, (settings.runs, m))
     of_draws = [loop_closure.starts(graph.survey, [source], setup.graph, m, k)[0] for k in range(len(graph.draws))]
     centroid = source.points[:, :2].mean(axis=0) if m == 3 else None
-    there = placed.Placed(source, T[closing.node], targets, setup.spacing_m, setup.reach_m, setup.registration)
+    where = (source, T[closing.node], targets, setup.spacing_m, setup.reach_m)
+    there = placed.Placed(*where, setup.registration, setup.numbers)
     ends = there.register(np.concatenate([random, of_draws]))
     errors = there.errors(ends)
     closed = [closing.node in closures.node for closures in graph.draws]

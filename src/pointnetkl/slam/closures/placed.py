@@ -20,7 +20,6 @@ from pointnetkl.surveys import pose
 from pointnetkl.surveys.se2 import SE2, rotate
 from pointnetkl.surveys.submap import Submap
 
-NUMBERS = pair.covariance.Settings()  # the same for all ground
 _LEAST_SIGMA = 1e-4  # metres and radians, of a start that is not perturbed: its variance must have an inverse
 _MARGIN_SIGMAS = 8.0  # of the start: where an end may lie, and the misfit be looked up about it
 
@@ -52,11 +51,12 @@ class Placed:
         spacing_m: float,
         reach_m: float | None,
         registration: gicp.Settings,
+        numbers: pair.covariance.Settings,
     ) -> None:
         """Prepare a submap at its pose (4, 4), and its targets' points (n, 3) in the map frame."""
         cloud = pose.transform(T_map_source, source.points)
         self.T_map_source = T_map_source
-        self._spacing_m = spacing_m
+        self._spacing_m, self._numbers = spacing_m, numbers
         self._registration = pair.Settings(**dataclasses.asdict(registration), method="map")
         self._centroid = source.points[:, :2].mean(axis=0) if registration.dimensions == 3 else None
         self._ground = Ground(np.concatenate(targets), cloud.mean(axis=0), reach_m, registration)
@@ -92,19 +92,23 @@ class Placed:
         return None if part is None or outcome is None else End(start, part, outcome[0])
 
     def _judge(self, end: End, sigmas: np.ndarray, rivals: "_Rivals") -> Iterator[Judged]:
-        target, block_m = self._ground.target, NUMBERS.block_spacings * self._spacing_m
+        target, block_m = self._ground.target, self._numbers.block_spacings * self._spacing_m
         offset = (end.part.points.mean(axis=0) - self._whole.points.mean(axis=0))[:2]
         prior = _about(np.diag(np.maximum(sigmas, _LEAST_SIGMA) ** 2), offset)
         T_target_source = self._ground.from_map(end.motion)
         (error,) = self._errors([end.motion])
         forces = pair.at(end.part, target, T_target_source, block_m, self._registration, in_plane=True)
-        yield Judged(PAIR, error, self._in_submap(_q(forces, prior), offset))
+        yield Judged(PAIR, error, self._in_submap(self._q(forces, prior), offset))
         for method, q in rivals.covariances(end.part, T_target_source, prior):
             yield Judged(method, error, self._in_submap(q, offset))
         start = self._ground.to_target(end.start)
         found = pair.register(end.part, target, prior, self._spacing_m, self._registration, start)
         (error,) = self._errors([self._ground.to_map(found.T_target_source)])
-        yield Judged(MAP, error, self._in_submap(_q(found.forces, prior), offset))
+        yield Judged(MAP, error, self._in_submap(self._q(found.forces, prior), offset))
+
+    def _q(self, forces: pair.Forces, prior: np.ndarray) -> np.ndarray:
+        K = pair.covariance.information(forces, self._numbers)
+        return pair.covariance.with_prior(K, prior, forces.lever_m, self._numbers)
 
     def _errors(self, motions: Sequence[SE2 | None]) -> np.ndarray:
         residual = np.full((len(motions), 4, 4), np.nan)
@@ -142,11 +146,6 @@ class _Rivals:
             moved = part.points + np.append(T_target_source.translation, 0.0)
             yield MISFIT_REGION, misfit_region.covariance(moved, self._relief)
         yield DRPM, drpm.covariance(part, self._planes, T_target_source, prior, self._registration)
-
-
-def _q(forces: pair.Forces, prior: np.ndarray) -> np.ndarray:
-    K = pair.covariance.information(forces, NUMBERS)
-    return pair.covariance.with_prior(K, prior, forces.lever_m, NUMBERS)
 
 
 def _about(q: np.ndarray, offset: np.ndarray) -> np.ndarray:
