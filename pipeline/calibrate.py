@@ -18,8 +18,6 @@ from pointnetkl.slam.graph import graph_file
 from pointnetkl.surveys import submap
 from pointnetkl.workflow import artifacts, command, parameters
 
-NUMBERS = "close.closing.search.numbers"  # of Q of a pair; stage close has the same
-
 
 def main(arguments: argparse.Namespace) -> None:
     """Read the graph and its submaps; write the errors of its registrations, and tables of covariances."""
@@ -32,13 +30,13 @@ def main(arguments: argparse.Namespace) -> None:
     artifacts.require_survey(name, arguments.submaps)
     submaps = submap.from_table(name, artifacts.read_table(arguments.submaps, submap.POINTS))
     spacing = submap.read_sampling(arguments.submaps).spacing_m
-    numbers = parameters.read(arguments.params, NUMBERS, covariance.Settings)
+    numbers = parameters.read(arguments.params, "close.closing.search.numbers", covariance.Settings)
     setup = closure_errors.Setup(spacing, graph_settings, label_settings, registration_settings, numbers)
     measured = closure_errors.measure(file.graph, submaps, settings, setup)
     models = trained.load_all([arguments.model], label_settings, registration_settings)
     predicted = overlap.tabulate(models, file.graph, submaps, setup.reach_m)
     covariances = pd.concat([measured.covariances, predicted], ignore_index=True)
-    sections = {"calibrate": settings, "label": label_settings, NUMBERS: numbers}
+    sections = {"calibrate": settings, "label": label_settings, "numbers": numbers}
     metadata = {"survey": name, "graph": file.metadata}
     metadata |= {section: parameters.as_metadata(values) for section, values in sections.items()}
     dimensions = registration_settings.dimensions
