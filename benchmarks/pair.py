@@ -57,8 +57,7 @@ class Closure:
         self._spacing_m = ground.spacing_m
         self._sigmas = monte_carlo.prior_sigmas(label, 3)
         self._settings = {
-            dof: pair.Settings(**{**dataclasses.asdict(registration), "dof": dof, "method": "map"})
-            for dof in ("xy", "xyyaw")
+            dof: pair.Settings.of(dataclasses.replace(registration, dof=dof), "map") for dof in ("xy", "xyyaw")
         }
         self.repeat(1, [seed])
 

@@ -50,7 +50,7 @@ Row = dict[str, Any]
 def main(arguments: argparse.Namespace) -> None:
     """Sail, register and print a table; with --json a line of JSON after it."""
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
-    settings = pair.Settings(**dataclasses.asdict(registration), method="map")
+    settings = pair.Settings.of(registration, "map")
     prior_m2 = parameters.read(arguments.params, "label", monte_carlo.Settings).prior_variance_m2
     sailed = [(survey, seed) for survey in arguments.surveys for seed in range(arguments.seeds)]
     rows = [

@@ -7,6 +7,7 @@ import pointnetkl.workflow.blas  # noqa: F401 - before NumPy is loaded
 
 # isort: split
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"{name}: drifts as {navigation} (study.surveys.{name}.navigation)")
     # headings are held by navigation: a turn of a submap by its matches would hardly move the map
     gicp_settings = parameters.read(arguments.params, "registration", gicp.Settings)
-    registration = pair.Settings(**{**parameters.as_metadata(gicp_settings), "dof": "xy"})
+    registration = pair.Settings.of(dataclasses.replace(gicp_settings, dof="xy"), "map")
     results = comparison.none()
     if graph.track:
         track = read_track(arguments, graph.truth, rates)

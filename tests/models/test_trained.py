@@ -34,7 +34,10 @@ def test_a_model_of_the_same_settings_is_read(tmp_path: Path, metadata: dict[str
 
 
 def test_a_missing_model_says_what_to_run(tmp_path: Path):
-    with pytest.raises(model_file.ModelFileError, match=r"nope\.pt: is missing; run dvc repro train@nope"):
+    with pytest.raises(
+        model_file.ModelFileError,
+        match=r"nope\.pt: is missing, .* which has network, pointnetkl; .* dvc repro",
+    ):
         trained.load_all([tmp_path / "nope.pt"], LABEL, REGISTRATION)
 
 

@@ -219,4 +219,4 @@ def test_a_prior_that_is_no_covariance_is_refused(bad: np.ndarray) -> None:
 @pytest.mark.parametrize("name", ["inflation", "drift_share", "block_spacings", "largest_m2"])
 def test_numbers_out_of_range_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
-        dataclasses.replace(NUMBERS, **{name: 0.0})
+        dataclasses.replace(NUMBERS, **{name: -1.0})

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pointnetkl.registration import gicp
+from pointnetkl.registration import gicp, pair
 from pointnetkl.slam.closures import graph_construction, loop_closure, reference
 from pointnetkl.slam.graph import footprint, survey_graph
 from pointnetkl.slam.graph.survey_graph import Closures
@@ -181,8 +181,30 @@ def test_map_finds_the_relative_poses_too(registration: gicp.Settings):
     by_map = loop_closure.close(submaps, truth, starts, SPACING, BY_MAP, registration)
     by_gicp = loop_closure.close(submaps, truth, starts, SPACING, SETTINGS, registration)
     assert by_map.node.tolist() == by_gicp.node.tolist()
-    assert np.abs(survey_graph.errors(by_map, truth)[:, :2]).max() < 0.2
+    errors = np.abs(survey_graph.errors(by_map, truth)).max(axis=0)
+    assert errors[:2].max() < 0.2
+    assert (errors[2:] < 0.01).all()
     assert not np.array_equal(by_map.correction, by_gicp.correction)
+
+
+def test_with_yaw_the_prior_of_a_part_is_that_of_the_start_at_its_own_middle():
+    submaps, truth = sail(1, 1)
+    target = cloud = pose.transform(truth[0], submaps[0].points)
+    part = cloud[cloud[:, 0] > np.median(cloud[:, 0])]
+    settings = pair.Settings.of(WITH_YAW, "map")
+    sigmas = np.array([1.0, 1.0, 0.05])
+    origin, lever = cloud.mean(axis=0), (part - cloud.mean(axis=0)).mean(axis=0)[:2]
+    search = loop_closure.MapSearch(np.diag(sigmas**2), SPACING, settings)
+    start = SE2(np.array([0.4, -0.3]), 0.02)
+    found = loop_closure.Ground(target, origin, None, WITH_YAW, search).register(part, start)
+    J = np.eye(3)
+    J[:2, 2] = -lever[1], lever[0]  # how a turn about the cloud's middle moves the part's
+    source, to = gicp.prepare(part - origin, WITH_YAW), gicp.prepare(target - origin, WITH_YAW)
+    about_target = start.from_centre(-to.centre[:2])
+    expected = pair.register(source, to, J @ search.prior @ J.T, SPACING, settings, about_target)
+    assert found is not None
+    moved = found[0].from_centre(-(origin + to.centre)[:2])
+    assert moved.to_vector() == pytest.approx(expected.T_target_source.to_vector(), abs=1e-9)
 
 
 def test_by_map_flat_ground_leaves_a_submap_nearer_to_its_start_than_by_gicp():

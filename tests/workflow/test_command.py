@@ -51,4 +51,7 @@ def test_a_stage_without_its_input_ends_with_status_one_and_one_sentence(script:
         [sys.executable, path, "small", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert done.stderr == "error: params.yaml: cannot be read (No such file or directory)\n"
+    assert (
+        done.stderr
+        == "error: params.yaml: cannot be read (No such file or directory); name your parameters with --params\n"
+    )

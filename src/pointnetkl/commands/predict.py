@@ -61,7 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
         except PointNetKLError as error:
             sentence = str(error) if str(path) in str(error) else f"{path}: {error}"
             print(f"error: {sentence}", file=sys.stderr)
-    print(json.dumps(rows, indent=2) if arguments.json else shared.in_columns(rows))
+    if rows or arguments.json:
+        print(json.dumps(rows, indent=2) if arguments.json else shared.in_columns(rows))
+    shared.warn_of_novelty(sum(bool(row["far"]) for row in rows), len(rows))
     return int(len(rows) < len(arguments.submaps))
 
 

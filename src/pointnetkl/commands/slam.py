@@ -28,7 +28,9 @@ and so on. Roll and pitch of a pose go into the points, so that frames are level
 A submap closes a loop where earlier submaps, except the one just before, cover enough of it (--coverage). It is
 registered to those, starting at dead reckoning: in x and y, and with registration.dof: xyyaw also in yaw. The rest of a
 loop closure comes from the poses in the files. Sections `graph` and `registration` of the parameters have the other
-settings. Their unit, the spacing of points, is measured: the side of a square that holds one point.
+settings: graph.method: map registers to the most probable place, with a prior of graph.prior_variance_m2 about where
+dead reckoning has the submap. Their unit, the spacing of points, is measured: the side of a square that holds one
+point.
 """
 _EPILOG = f"""\
 FOLDER gets graph.g2o, the solution with all edges, and trajectory.tum, with a submap's number as its time.
@@ -145,9 +147,4 @@ def _warn(predictions: "list[Prediction]", registrations: int, coverage: float) 
             " without loop closures the poses stay as they were; --coverage can ask for less",
             file=sys.stderr,
         )
-    if far := sum(prediction.is_novel for prediction in predictions):
-        print(
-            f"warning: {far} of {len(predictions)} submaps are unlike those that the model was trained on:"
-            " their Q is a guess",
-            file=sys.stderr,
-        )
+    shared.warn_of_novelty(sum(prediction.is_novel for prediction in predictions), len(predictions))

@@ -117,7 +117,10 @@ def read(path: Path) -> Stored:
         traits = _traits(content.get("known"))
         return Stored(content["kind"], model.eval(), float(content["voxel"]), dict(content["metadata"]), traits)
     except FileNotFoundError as error:
-        raise ModelFileError(f"{path}: is missing; run dvc repro train@{path.stem}") from error
+        raise ModelFileError(
+            f"{path}: is missing, and no model of that name comes with the package, which has {', '.join(shipped())};"
+            " those of your own study are made by dvc repro"
+        ) from error
     except Exception as error:  # zip, pickle and torch each fail in their own ways on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise ModelFileError(

@@ -88,7 +88,7 @@ Trained by `dvc repro train@{name}`; stage `report` writes this page.
 | kind | `{kind}`, {model["weights"]} weights |
 | in | a submap's points (n, 3), metres, z up, in any frame with these axes |
 | out | Q ({dimensions}, {dimensions}), {units}, in the points' frame |
-| use | `CovarianceEstimator.load("{name}.pt").predict(points)`, or `python -m pointnetkl predict` |
+| use | `CovarianceEstimator.load("models/{name}.pt").predict(points)`, or `python -m pointnetkl predict` |
 | ONNX in | {_INPUTS[kind].format(voxel=model["voxel"])} |
 | ONNX out | `covariance` (clouds, {dimensions}, {dimensions}) |
 

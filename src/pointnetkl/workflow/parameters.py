@@ -93,7 +93,7 @@ def _load(path: Path) -> Any:
     try:
         return yaml.load(path.read_text(), _LOADER)
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror})") from error
+        raise SettingsError(f"{path}: cannot be read ({error.strerror}); name your parameters with --params") from error
     except UnicodeDecodeError as error:
         raise SettingsError(f"{path}: is not a text file; write it in UTF-8") from error
     except yaml.YAMLError as error:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pointnetkl.registration.pair.forces import Forces
 from pointnetkl.registration.pair.settings import PairError
-from pointnetkl.workflow.parameters import require_positive
+from pointnetkl.workflow.parameters import require_positive, require_within
 
 # m^2, added to S: with few blocks it may be singular, and on ground without noise it is zero
 LEAST_VARIANCE_M2 = 1e-9
@@ -35,7 +35,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        require_positive(self, "inflation", "drift_share", "block_spacings", "largest_m2")
+        require_positive(self, "inflation", "block_spacings", "largest_m2")
+        require_within(self, 0.0, 0.1, "drift_share")
 
 
 def information(forces: Forces, settings: Settings) -> np.ndarray:

@@ -1,6 +1,7 @@
 """How a pair is registered: by GICP, as the paper does, or to the most probable place (MAP)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
+from typing import Self
 
 from pointnetkl.registration import gicp
 from pointnetkl.workflow.errors import PointNetKLError
@@ -30,6 +31,11 @@ class Settings(gicp.Settings):
     # converged, too, when a step is shorter than so many sigmas of the place, as the search sees them; 0: never. 0.03
     # halves the steps on flat ground and adds 1 % to an rms error of 0.4 m
     tolerance_sigmas: float = 0.03
+
+    @classmethod
+    def of(cls, registration: gicp.Settings, method: str) -> Self:
+        """Return settings with a method, and all else as GICP's."""
+        return cls(**{**asdict(registration), "method": method})
 
     @property
     def as_gicp(self) -> gicp.Settings:

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from pointnetkl.surveys.se2 import SE2
 from pointnetkl.surveys.submap import Submap
 from pointnetkl.workflow.errors import PointNetKLError
 from pointnetkl.workflow.parameters import require_positive, require_seed, require_within
+
+LEAST_SIGMA = 1e-4  # metres and radians, of a start that is not perturbed: its variance must have an inverse
 
 
 class LoopClosureError(PointNetKLError):
@@ -55,8 +57,8 @@ class Settings:
             require_positive(self, "overlap_factor")
         if self.method not in pair.METHODS:
             raise ValueError(f"method is {self.method!r}, must be {' or '.join(pair.METHODS)}")
-        if self.method == "map":
-            require_positive(self, "prior_variance_m2", "prior_yaw_sigma_rad")  # MAP weights the start with them
+        if self.method == "map" and not self.prior_variance_m2:
+            raise ValueError(f"prior_variance_m2 is {self.prior_variance_m2}, must be above zero with the method map")
 
 
 def starts(
@@ -76,6 +78,14 @@ def start_sigmas(settings: Settings, dimensions: int) -> np.ndarray:
     """Return the standard deviations (M,) of a perturbation, metres and radians."""
     sigma = np.sqrt(settings.prior_variance_m2)
     return np.array([sigma, sigma, settings.prior_yaw_sigma_rad])[:dimensions]
+
+
+def covariance_about(covariance: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Return a covariance (M, M) about a point as one about the point that is `offset` (2,) metres from it."""
+    if len(covariance) == 2:
+        return covariance
+    adjoint = SE2(-offset, 0.0).adjoint()
+    return np.asarray(adjoint @ covariance @ adjoint.T)
 
 
 def close(
@@ -99,6 +109,7 @@ def close(
 
     Raises:
         LoopClosureError: the numbers of submaps and poses differ.
+        GicpError: a cloud cannot be registered.
     """
     if len(poses) != len(submaps):
         raise LoopClosureError(
@@ -117,7 +128,7 @@ def close(
 class MapSearch(NamedTuple):
     """How a cloud is registered to its most probable place (pair.register)."""
 
-    prior: np.ndarray  # (M, M) variance of starts, m^2 and rad^2
+    prior: np.ndarray  # (M, M) variance of starts about the middle of the whole cloud, m^2 and rad^2
     spacing_m: float  # of neighbouring points
     settings: pair.Settings
 
@@ -135,7 +146,7 @@ class Ground:
     ) -> None:
         """Prepare the points about an origin (3,) near them; only a cloud's points within `reach` metres will count.
 
-        Without a search clouds are registered by GICP.
+        Without a search clouds are registered by GICP; with one the origin must be the middle of the cloud.
         """
         self._origin, self._reach, self._registration = origin, reach, registration  # small coordinates round less
         self._search = search
@@ -187,7 +198,8 @@ class Ground:
         if self._search is None:
             return gicp.register(part, self._target, self._registration, start)
         prior, spacing_m, settings = self._search
-        return pair.register(part, self._target, prior, spacing_m, settings, start)
+        about_part = covariance_about(prior, part.points.mean(axis=0)[:2])
+        return pair.register(part, self._target, about_part, spacing_m, settings, start)
 
     def to_target(self, motion: SE2) -> SE2:
         """Return a motion about the origin as `registration` takes it: about the target's centre."""
@@ -235,8 +247,8 @@ class _FrontEnd:
         self._share, self._registration = settings.coverage, registration
         self._search = None
         if settings.method == "map":
-            prior = np.diag(start_sigmas(settings, registration.dimensions) ** 2)
-            self._search = MapSearch(prior, spacing, pair.Settings(**asdict(registration), method="map"))
+            prior = np.diag(np.maximum(start_sigmas(settings, registration.dimensions), LEAST_SIGMA) ** 2)
+            self._search = MapSearch(prior, spacing, pair.Settings.of(registration, "map"))
         self._reach = None if settings.overlap_factor is None else settings.overlap_factor * spacing
         self._clouds: list[np.ndarray] = []
         self._T_map_submap: list[np.ndarray] = []

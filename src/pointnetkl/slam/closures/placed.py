@@ -5,7 +5,6 @@ region of small misfit, and point-to-plane with noisy normals. MAP registers the
 and has errors of its own.
 """
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -14,13 +13,12 @@ import numpy as np
 from pointnetkl.registration import gicp, pair
 from pointnetkl.registration.covariance.catalogue import DRPM, MAP, MISFIT_REGION, PAIR
 from pointnetkl.slam.closures import drpm, misfit_region
-from pointnetkl.slam.closures.loop_closure import Ground
+from pointnetkl.slam.closures.loop_closure import LEAST_SIGMA, Ground, covariance_about
 from pointnetkl.slam.graph import survey_graph
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.se2 import SE2, rotate
 from pointnetkl.surveys.submap import Submap
 
-_LEAST_SIGMA = 1e-4  # metres and radians, of a start that is not perturbed: its variance must have an inverse
 _MARGIN_SIGMAS = 8.0  # of the start: where an end may lie, and the misfit be looked up about it
 
 
@@ -57,7 +55,7 @@ class Placed:
         cloud = pose.transform(T_map_source, source.points)
         self.T_map_source = T_map_source
         self._spacing_m, self._numbers = spacing_m, numbers
-        self._registration = pair.Settings(**dataclasses.asdict(registration), method="map")
+        self._registration = pair.Settings.of(registration, "map")
         self._centroid = source.points[:, :2].mean(axis=0) if registration.dimensions == 3 else None
         self._ground = Ground(np.concatenate(targets), cloud.mean(axis=0), reach_m, registration)
         self._whole = self._ground.prepare(cloud)
@@ -83,7 +81,7 @@ class Placed:
         box = self._whole.points[:, :2].min(axis=0), self._whole.points[:, :2].max(axis=0)
         rivals = _Rivals(self._ground.target, noise_m, self._registration)
         if self._registration.dimensions == 2:
-            rivals.look_up(box, self._spacing_m, max(float(sigmas[0]), _LEAST_SIGMA))
+            rivals.look_up(box, self._spacing_m, max(float(sigmas[0]), LEAST_SIGMA))
         return [[] if end is None else list(self._judge(end, sigmas, rivals)) for end in ends]
 
     def _register(self, start: SE2) -> End | None:
@@ -94,7 +92,7 @@ class Placed:
     def _judge(self, end: End, sigmas: np.ndarray, rivals: "_Rivals") -> Iterator[Judged]:
         target, block_m = self._ground.target, self._numbers.block_spacings * self._spacing_m
         offset = (end.part.points.mean(axis=0) - self._whole.points.mean(axis=0))[:2]
-        prior = _about(np.diag(np.maximum(sigmas, _LEAST_SIGMA) ** 2), offset)
+        prior = covariance_about(np.diag(np.maximum(sigmas, LEAST_SIGMA) ** 2), offset)
         T_target_source = self._ground.from_map(end.motion)
         (error,) = self._errors([end.motion])
         forces = pair.at(end.part, target, T_target_source, block_m, self._registration, in_plane=True)
@@ -122,7 +120,7 @@ class Placed:
         """Return a covariance in the map's axes about a part's centroid in those of the submap, about its own."""
         turn = np.eye(len(q))
         turn[:2, :2] = rotate(np.eye(2), -SE2.from_matrix(self.T_map_source).yaw).T
-        q = turn @ _about(q, -offset) @ turn.T
+        q = turn @ covariance_about(q, -offset) @ turn.T
         return np.asarray((q + q.T) / 2)
 
 
@@ -146,11 +144,3 @@ class _Rivals:
             moved = part.points + np.append(T_target_source.translation, 0.0)
             yield MISFIT_REGION, misfit_region.covariance(moved, self._relief)
         yield DRPM, drpm.covariance(part, self._planes, T_target_source, prior, self._registration)
-
-
-def _about(q: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return a covariance (M, M) about a point as one about the point that is `offset` (2,) metres from it."""
-    if len(q) == 2:
-        return q
-    adjoint = SE2(-offset, 0.0).adjoint()
-    return np.asarray(adjoint @ q @ adjoint.T)
