@@ -38,7 +38,7 @@ from pointnetkl.simulation import seabed, vehicle
 from pointnetkl.surveys.se2 import SE2
 from pointnetkl.workflow import command, parameters, study
 
-NUMBERS, GATES = covariance.Settings(), factor.Settings()
+GATES = factor.Settings()
 KNOWN = vehicle.Navigation(0.0, 0.0, 0.0, 300.0)
 WIDEST_M = 60.0  # between lines: swaths of 200 m overlap by more than half
 MEASURES = ("nees", "in_95", "nats")
@@ -49,6 +49,8 @@ Row = dict[str, Any]
 
 def main(arguments: argparse.Namespace) -> None:
     """Sail, register and print a table; with --json a line of JSON after it."""
+    if arguments.halves == 1 or arguments.halves < 0:
+        raise submaps.BenchmarkError(f"--halves is {arguments.halves}, must be 0, or 2 and above for a covariance")
     registration = parameters.read(arguments.params, "registration", gicp.Settings)
     settings = pair.Settings.of(registration, "map")
     prior_m2 = parameters.read(arguments.params, "label", monte_carlo.Settings).prior_variance_m2
@@ -74,6 +76,7 @@ def closures(
 ) -> Iterator[Row]:
     """Yield a row for each loop closure of a survey that is sailed with another seed."""
     line = study.survey(arguments.params, survey)
+    numbers = covariance.Settings(submap_length_m=line.submap_length_m)
     soundings = list(sail(arguments, survey, seed, line.submap_length_m))
     clouds = [(number, thinned(points, line.point_spacing_m)) for number, points in soundings]
     rng, rng_halves = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
@@ -91,9 +94,10 @@ def closures(
         common = cKDTree(target[:, :2]).query(source[:, :2] + start)[0] < line.point_spacing_m
         if common.mean() >= arguments.coverage:
             clouds_of_pair = gicp.prepare(source[common] - centre, settings), gicp.prepare(target - centre, settings)
-            row, error = closure(clouds_of_pair, start, line.point_spacing_m, settings, prior_m2)
+            row, error = closure(clouds_of_pair, start, line.point_spacing_m, settings, prior_m2, numbers)
             if arguments.halves:
-                alone = halves(points - centre, arguments.halves, rng_halves, line.point_spacing_m, settings, prior_m2)
+                how = (line.point_spacing_m, settings, prior_m2, numbers)
+                alone = halves(points - centre, arguments.halves, rng_halves, *how)
                 row |= {key: value for name, Q in alone.items() for key, value in judged(name, error, Q).items()}
             yield row
 
@@ -137,19 +141,24 @@ def thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 
 def closure(
-    clouds: tuple[gicp.Cloud, gicp.Cloud], start: np.ndarray, spacing_m: float, settings: pair.Settings, prior_m2: float
+    clouds: tuple[gicp.Cloud, gicp.Cloud],
+    start: np.ndarray,
+    spacing_m: float,
+    settings: pair.Settings,
+    prior_m2: float,
+    numbers: covariance.Settings,
 ) -> tuple[Row, np.ndarray]:
     """Return how far both methods end from the truth, and how well Q tells it; and MAP's error (2,), metres."""
-    prior, block_m = prior_m2 * np.eye(2), NUMBERS.block_spacings * spacing_m
+    prior, block_m = prior_m2 * np.eye(2), numbers.block_spacings * spacing_m
     truth = pair.at(*clouds, SE2.identity(), block_m, settings)
     S = truth.variance + covariance.LEAST_VARIANCE_M2 * np.eye(2)
     row: Row = {"force": float(truth.total @ np.linalg.solve(S, truth.total)) / 2}
     for method in pair.METHODS:
         end = pair.register(*clouds, prior, spacing_m, dataclasses.replace(settings, method=method), SE2(start, 0.0))
         error = end.T_target_source.translation
-        Q = covariance.with_prior(covariance.information(end.forces, NUMBERS), prior, end.forces.lever_m, NUMBERS)
+        Q = covariance.with_prior(covariance.information(end.forces, numbers), prior, end.forces.lever_m, numbers)
         row |= {f"{method}_error_m": float(np.hypot(*error))} | judged(method, error, Q)
-    row["share"] = float(factor.of(end.forces, NUMBERS, GATES).shares[0])  # of MAP's end, the last
+    row["share"] = float(factor.of(end.forces, numbers, GATES).shares[0])  # of MAP's end, the last
     return row, error
 
 
@@ -161,10 +170,19 @@ def judged(name: str, error: np.ndarray, Q: np.ndarray) -> Row:
 
 
 def halves(
-    points: np.ndarray, runs: int, rng: np.random.Generator, spacing_m: float, settings: pair.Settings, prior_m2: float
+    points: np.ndarray,
+    runs: int,
+    rng: np.random.Generator,
+    spacing_m: float,
+    settings: pair.Settings,
+    prior_m2: float,
+    numbers: covariance.Settings,
 ) -> dict[str, np.ndarray]:
-    """Return covariances (2, 2) of a submap's soundings (n, 3) that are registered half to half, and Q from them."""
-    prior, block_m = prior_m2 * np.eye(2), NUMBERS.block_spacings * spacing_m
+    """Return covariances (2, 2) of a submap's soundings (n, 3) that are registered half to half, and Q from them.
+
+    Both have b for drift inside the submap, as Q of a pair has.
+    """
+    prior, block_m = prior_m2 * np.eye(2), numbers.block_spacings * spacing_m
     errors, information = np.empty((runs, 2)), np.zeros((2, 2))
     for k in range(runs):
         first = rng.random(len(points)) < 0.5
@@ -172,10 +190,10 @@ def halves(
         start = SE2(rng.normal(0, np.sqrt(prior_m2), 2), 0.0)
         errors[k] = pair.register(*clouds, prior, spacing_m, settings, start).T_target_source.translation
         forces = pair.at(*clouds, SE2.identity(), block_m, settings)
-        information += covariance.information(forces, NUMBERS) / runs
+        information += covariance.information(forces, numbers) / runs
     return {
-        "halves": monte_carlo.covariance(errors) + covariance.drift_m2(forces.lever_m, NUMBERS) * np.eye(2),
-        "own": covariance.with_prior(information, prior, forces.lever_m, NUMBERS),
+        "halves": monte_carlo.covariance(errors) + numbers.drift_m2 * np.eye(2),
+        "own": covariance.with_prior(information, prior, forces.lever_m, numbers),
     }
 
 

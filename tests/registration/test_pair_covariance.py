@@ -13,7 +13,7 @@ from pointnetkl.registration.pair import covariance
 from pointnetkl.surveys.se2 import SE2
 
 DOFS = ("xy", "xyyaw")
-PLAIN = dataclasses.replace(NUMBERS, inflation=1.0, drift_share=1e-8)  # what the blocks alone say
+PLAIN = dataclasses.replace(NUMBERS, inflation=1.0, drift_share=0.0)  # what the blocks alone say
 DRAWS = 300
 FORCES = ("stiffness", "ground", "chance")
 
@@ -114,8 +114,8 @@ def test_a_direction_that_nothing_holds_costs_the_other_none_of_its_digits() -> 
     X, S = R @ np.diag([1e4, 1e-9]) @ R.T, R @ np.diag([1e3, 1e1]) @ R.T
     K = covariance.information(forces(X, S), NUMBERS)
     V = R.T @ covariance.without_prior(K, 40.0, NUMBERS) @ R
-    assert V[0, 0] == pytest.approx(NUMBERS.inflation * 1e3 / 1e8 + covariance.drift_m2(40.0, NUMBERS), rel=1e-9)
-    assert V[1, 1] == pytest.approx(NUMBERS.largest_m2 + covariance.drift_m2(40.0, NUMBERS), rel=1e-6)
+    assert V[0, 0] == pytest.approx(NUMBERS.inflation * 1e3 / 1e8 + NUMBERS.drift_m2, rel=1e-9)
+    assert V[1, 1] == pytest.approx(NUMBERS.largest_m2 + NUMBERS.drift_m2, rel=1e-6)
 
 
 def test_a_negative_eigenvalue_of_x_is_noise_and_tells_nothing() -> None:
@@ -131,7 +131,7 @@ def test_forces_in_too_few_blocks_tell_nothing() -> None:
 def test_without_information_q_is_the_prior_and_v_the_largest(dof: str) -> None:
     m, lever_m = SETTINGS[dof].dimensions, 40.0
     scale = np.diag(covariance.levers(lever_m, m) ** -2)
-    K, b = np.zeros((m, m)), covariance.drift_m2(lever_m, NUMBERS)
+    K, b = np.zeros((m, m)), NUMBERS.drift_m2
     assert covariance.with_prior(K, prior(dof), lever_m, NUMBERS) == pytest.approx(prior(dof) + b * scale)
     expected = (NUMBERS.largest_m2 + b) * scale
     assert covariance.without_prior(K, lever_m, NUMBERS) == pytest.approx(expected)
@@ -214,6 +214,15 @@ def test_on_flat_ground_normals_tell_nothing_however_noisy(noise_m: float, witho
 def test_a_prior_that_is_no_covariance_is_refused(bad: np.ndarray) -> None:
     with pytest.raises(pair.PairError, match="prior must be a covariance of 2 dimensions"):
         covariance.with_prior(np.eye(2), bad, 40.0, NUMBERS)
+
+
+def test_drift_is_a_share_of_the_submaps_length_along_their_track() -> None:
+    line = np.array([[0.0, 200 * k, 5.0] for k in range(5)])
+    track = np.concatenate(
+        [line, np.add(line[::-1], [1000.0, 0.0, 0.0])]
+    )  # the way from one line to the next is longer
+    assert NUMBERS.of_submaps(track).drift_m2 == pytest.approx((NUMBERS.drift_share * 200.0) ** 2)
+    assert NUMBERS.of_submaps(track[:1]) == NUMBERS
 
 
 @pytest.mark.parametrize("name", ["inflation", "drift_share", "block_spacings", "largest_m2"])

@@ -72,7 +72,7 @@ def test_a_ridge_corrects_only_across():
     closed = ridge.close(navigation, 3.0)
     miss = (closed.poses - ridge.truth)[2 * closable.ALONG :, :2, 3].mean(axis=0)
     assert {closure.rank for closure in closed.accepted} == {1}
-    assert miss[0] == pytest.approx(1.5, abs=0.2)
+    assert miss[0] == pytest.approx(1.5, abs=0.25)  # directions err by up to 11 degrees: 0.3 m along for 1.5 m across
     assert abs(miss[1]) < 0.4
     assert all(abs(closure.A[0, 0]) < 0.2 * abs(closure.A[0, 1]) for closure in closed.accepted)
 

@@ -5,7 +5,8 @@ K is what the ground tells of the place, in the axes of the target, about the pl
 graph, which knows the start already.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -26,17 +27,34 @@ class Settings:
     """
 
     inflation: float = 3.0  # a, of the variance of forces
-    drift_share: float = 5e-4  # of the lever: root of b, what drift inside a submap does to its shape
+    drift_share: float = 3e-4  # of a submap's length along its track: root of b, what drift does to its shape
     block_spacings: float = 8.0  # edge of the blocks that the variance of forces is taken by
     largest_m2: float = 1e4  # of V, where the ground holds nothing
     without_chance: bool = (
         True  # X less what it has too much where normals are noisy (Eq. 8); nothing at 3 m of spacing
     )
 
+    submap_length_m: float = 100.0  # along the track; it is the survey's, not a parameter: see of_submaps
+
+    @property
+    def drift_m2(self) -> float:
+        """Return b, m^2: what drift inside a submap adds to the variance of its place, whatever the ground."""
+        return (self.drift_share * self.submap_length_m) ** 2
+
+    def of_submaps(self, positions: np.ndarray) -> Self:
+        """Return the numbers for submaps at positions (n, 2 or 3) along a track, whose median distance is their length.
+
+        Of fewer than two the length stays as it is.
+        """
+        if len(positions) < 2:
+            return self
+        return replace(self, submap_length_m=float(np.median(np.hypot(*np.diff(positions[:, :2], axis=0).T))))
+
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         require_positive(self, "inflation", "block_spacings", "largest_m2")
         require_within(self, 0.0, 0.1, "drift_share")
+        require_within(self, 0.0, 1e6, "submap_length_m")
 
 
 def information(forces: Forces, settings: Settings) -> np.ndarray:
@@ -82,15 +100,10 @@ def without_prior(K: np.ndarray, lever_m: float, settings: Settings) -> np.ndarr
     return np.asarray(V / np.outer(lever, lever) + _drift(lever_m, settings, len(K)))
 
 
-def drift_m2(lever_m: float, settings: Settings) -> float:
-    """Return b, m^2: what drift inside a submap adds to the variance of its place, whatever the ground."""
-    return (settings.drift_share * lever_m) ** 2
-
-
 def levers(lever_m: float, dimensions: int) -> np.ndarray:
     """Return what a motion's entries (M,) count in metres: 1, 1 and the lever."""
     return np.array([1.0, 1.0, lever_m])[:dimensions]
 
 
 def _drift(lever_m: float, settings: Settings, dimensions: int) -> np.ndarray:
-    return np.asarray(np.diag(drift_m2(lever_m, settings) / levers(lever_m, dimensions) ** 2))
+    return np.asarray(np.diag(settings.drift_m2 / levers(lever_m, dimensions) ** 2))

@@ -71,8 +71,7 @@ def of(forces: Forces, numbers: covariance.Settings, settings: Settings) -> Fact
     ground = (shares > settings.least_share) & (forces.blocks > forces.dimensions)
     Y, F = shares[ground, None] * (u.T @ root)[ground], (u.T @ inverse)[ground]
     S = forces.variance + LEAST_VARIANCE_M2 * np.eye(forces.dimensions)
-    b = covariance.drift_m2(forces.lever_m, numbers)
-    L = np.linalg.cholesky(numbers.inflation * F @ S @ F.T + b * Y @ Y.T)
+    L = np.linalg.cholesky(numbers.inflation * F @ S @ F.T + numbers.drift_m2 * Y @ Y.T)
     return Factor(np.linalg.solve(L, Y) * lever, np.linalg.solve(L, F @ forces.total), shares)
 
 

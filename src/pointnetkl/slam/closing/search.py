@@ -65,6 +65,11 @@ class Ground:
             raise ClosingError("loop closures are registered in x and y: set registration.dof to xy")
 
     @functools.cached_property
+    def numbers(self) -> covariance.Settings:
+        """Return the numbers of closures' covariances, for submaps as long as these."""
+        return self.settings.numbers.of_submaps(self.navigation[:, :3, 3])
+
+    @functools.cached_property
     def levers(self) -> np.ndarray:
         """Return the middles (n, 2) of the clouds in their own frames, metres."""
         return np.array([cloud[:, :2].mean(axis=0) for cloud in self.clouds])
@@ -135,11 +140,11 @@ def _mapped(posed: "_Posed", on: Sequence[int], cloud: np.ndarray, margin: float
 def _closure(ground: Ground, tie: Tie, estimate: Estimate, part: gicp.Part, target: gicp.Cloud) -> Closure | None:
     settings = ground.settings
     prior = settings.search_variance_m2 * np.eye(2) + tie.variance(estimate)
-    blocks = settings.numbers.block_spacings
+    blocks = ground.numbers.block_spacings
     end = pair.register(part, target, prior, ground.spacing_m, ground.registration, block_spacings=blocks)
     if end.forces.matched < ground.registration.neighbours:
         return None
-    held = factor.of(end.forces, settings.numbers, settings.gates)
+    held = factor.of(end.forces, ground.numbers, settings.gates)
     moved = (
         end.T_target_source.translation
     )  # the factor's offset is from the end of the search, and the tie's from its start

@@ -111,6 +111,7 @@ def measure(graph: SurveyGraph, submaps: Sequence[Submap], settings: Settings, s
             f"{graph.survey}: the graph has {len(graph.number)} submaps, not the {len(submaps)} given;"
             f" run dvc repro graph@{graph.survey}"
         )
+    setup = dataclasses.replace(setup, numbers=setup.numbers.of_submaps(true_poses(graph)[:, :3, 3]))
     measure_node = functools.partial(_measure, graph=graph, submaps=submaps, settings=settings, setup=setup)
     measured = compute.in_threads(measure_node, closing_nodes(graph), f"calibrate {graph.survey}")
     by_node = {node.node: node for node in measured}
