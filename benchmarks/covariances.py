@@ -4,7 +4,8 @@ For runs too large to finish: it reads what label, train, estimate and predict h
 --reports, of the test surveys that have labels and covariances. It writes below --out: covariances.json, kl.csv, Table
 II (tables/table_2), every measure by terrain class and by the size of the label (tables/terrain, classes.csv), how each
 model was trained (loss_<model>.csv, figures/training.png, models/<model>.md), the submaps that --drawn is worst and
-best at (figures/), and leave_one_class_out.csv.
+best at (figures/), and leave_one_class_out.csv. Of surveys that stages calibrate and close have been through it writes
+the errors of their loop closures (tables/calibration_lc) and Table V (tables/table_5) as well.
 """
 
 import argparse
@@ -22,6 +23,10 @@ from pointnetkl.models.model_file import Stored
 from pointnetkl.models.samples import Samples
 from pointnetkl.registration.covariance import gaussian, table
 from pointnetkl.reporting import model_card, report, results, terrain, text_table
+from pointnetkl.reporting.closing import numbers as closing_numbers
+from pointnetkl.reporting.closing import tables as closing_tables
+from pointnetkl.reporting.closures import numbers as closures
+from pointnetkl.reporting.closures import tables as closure_tables
 from pointnetkl.reporting.covariances import cases, ellipse_plots, tables
 from pointnetkl.reporting.covariances import numbers as summary
 from pointnetkl.reporting.covariances.numbers import Judged
@@ -52,6 +57,9 @@ def main(arguments: argparse.Namespace) -> None:
     }
     write_tables(arguments.out, numbers, training.read_divergences(folders, chosen.kl_floor_m2))
     write_trainings(arguments.out, folders)
+    closing = [name for name in judged if folders.product(name, "closure_ends.parquet").exists()]
+    if closing:
+        write_closures(arguments.out, folders, {name: judged[name] for name in closing}, numbers)
     draw(arguments, folders, judged, chosen)
     write(arguments.out, "covariances.json", json.dumps(report.known_only(report.published(numbers)), indent=2) + "\n")
     write(arguments.out, "kl.csv", text_table.csv(pd.DataFrame(kl_rows(numbers))))
@@ -68,6 +76,22 @@ def write_tables(out: Path, numbers: dict[str, Any], trained: dict[str, dict[str
     split = [*tables.by_class(numbers["by_class"], datasets)[1:], *tables.by_size(numbers["by_size"], datasets)[1:]]
     write(out, "tables/table_2.csv", text_table.csv(table_2[0].frame))
     for name, blocks in (("table_2", table_2), ("terrain", split)):
+        write(out, f"tables/{name}.md", text_table.markdown(blocks))
+
+
+def write_closures(out: Path, folders: results.Folders, judged: dict[str, Judged], numbers: dict[str, Any]) -> None:
+    """Write what is known of the loop closures of these surveys, and Table V."""
+    found = {name: closures.read(folders, name, results.read_labels(folders, name), of) for name, of in judged.items()}
+    numbers |= {
+        "calibration_lc": closures.calibrations(found),
+        "closures": {name: closures.sizes(of) for name, of in found.items()},
+        "closures_by_hold": {name: closures.by_hold(of) for name, of in found.items()},
+        "closure_ratios": {name: closures.dependence(of) for name, of in found.items()},
+        "closing": closing_numbers.summarise(closing_numbers.read(folders.reports, found).rows),
+    }
+    datasets = {name: {"simulated": True} for name in found}
+    for name, blocks in {**closure_tables.every(numbers, datasets), **closing_tables.every(numbers, datasets)}.items():
+        write(out, f"tables/{name}.csv", text_table.csv(blocks[0].frame))
         write(out, f"tables/{name}.md", text_table.markdown(blocks))
 
 
