@@ -48,7 +48,7 @@ def test_a_loop_closure_by_map_ends_in_its_numbers() -> None:
 
 
 def test_closures_of_a_survey_sailed_anew_end_nearer_to_the_truth_by_map() -> None:
-    result = run("placed", "--surveys", "borno_8", "--seeds", "1", "--json")
+    result = run("placed", "--surveys", "borno_8", "--seeds", "1", "--halves", "6", "--json")
     assert result.returncode == 0, result.stderr
     numbers = json.loads(result.stdout.splitlines()[-1])
     everything = [row for row in numbers["classes"] if row["survey"] == "all"]
@@ -57,6 +57,14 @@ def test_closures_of_a_survey_sailed_anew_end_nearer_to_the_truth_by_map() -> No
     assert held["ground"] == "held"
     assert held["map_rms_m"] < 0.2
     assert held["map_in_95"] > 0.8
+    assert held["own_in_95"] > 0.7
+    assert held["halves_nees"] > 0
+
+
+def test_a_covariance_of_one_registration_is_refused() -> None:
+    result = run("placed", "--halves", "1")
+    assert result.returncode == 1
+    assert result.stderr.startswith("error: --halves is 1, must be 0, or 2 and above")
 
 
 @pytest.mark.parametrize("copy", ["same", "split"])
