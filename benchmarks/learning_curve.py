@@ -1,8 +1,9 @@
 """What more submaps and more steps are worth to a model: it is trained on random parts of the training submaps.
 
 All parts are validated on the same submaps, and judged on the test surveys. The smaller parts are among the larger. A
-batch has no more submaps than the part. The last state of each training is kept in --out (some 140 MB): a second run
-with the same settings and data goes on from there.
+batch has no more submaps than the part. With --slopes each point has those of its plane, through 20 neighbours,
+besides. The last state of each training is kept in --out (some 140 MB): a second run with the same settings and data
+goes on from there.
 """
 
 import argparse
@@ -15,7 +16,10 @@ import pandas as pd
 import yaml
 
 from pointnetkl.models import model_file
+from pointnetkl.models.point_mlp import PointMLP
+from pointnetkl.models.pointnetkl import PointNetKL, TransformNet
 from pointnetkl.models.samples import Samples
+from pointnetkl.registration import gicp
 from pointnetkl.registration.covariance import gaussian
 from pointnetkl.training import checkpoint, dataset, device, loop
 from pointnetkl.workflow import artifacts, parameters
@@ -34,13 +38,38 @@ def main(arguments: argparse.Namespace) -> None:
     training, validation = dataset.split(samples, settings.validation_share, settings.validation_blocks, settings.seed)
     judged = {"validation": validation}
     judged |= {name: dataset.read(arguments.data / "test", [name])[0] for name in study.test}
+    if arguments.slopes:
+        registration = parameters.read(arguments.params, "registration", gicp.Settings)
+        judged = {name: with_slopes(samples, registration) for name, samples in judged.items()}
     order = np.random.default_rng(arguments.seed).permutation(len(training))
     rows = []
     for submaps in arguments.submaps:
         part = training.take(np.sort(order[:submaps]))
+        if arguments.slopes:
+            part = with_slopes(part, registration)
         rows.append(judge(arguments, kind, settings, part, judged))
         artifacts.write_bytes(arguments.out / "learning_curve.csv", pd.DataFrame(rows).to_csv(index=False).encode())
     print(pd.DataFrame(rows).to_string(index=False))
+
+
+def with_slopes(samples: Samples, registration: gicp.Settings) -> Samples:
+    """Return clouds whose points (n, 6) have the slopes of their plane, and the square of the steepest, besides.
+
+    They are 5 and 25 times as large as they are, to be of the order of the coordinates in the unit sphere.
+    """
+    clouds = []
+    for points, radius in zip(samples.clouds, samples.radius.astype(np.float64), strict=True):
+        cloud = gicp.prepare(points * radius, registration)
+        slopes = -5.0 * cloud.normals[:, :2] / cloud.normals[:, 2:]
+        columns = [cloud.points / radius, slopes, np.sum(slopes**2, axis=1)]
+        clouds.append(np.column_stack(columns).astype(np.float32))
+    return dataclasses.replace(samples, clouds=clouds)
+
+
+def widened(model: PointNetKL) -> PointNetKL:
+    """Return a model whose first layers take six numbers a point."""
+    model.phi.input_transform, model.phi.local = TransformNet(6), PointMLP((6, 64, 64))
+    return model
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -56,10 +85,12 @@ def judge(
     processor = device.choose(settings.device)
     device.prepare(settings.seed, settings.threads, processor)
     form, new = model_file.kind(kind)
-    model = new(parameters.read(arguments.params, f"models.{arguments.model}.network", form)).to(processor)
+    model = new(parameters.read(arguments.params, f"models.{arguments.model}.network", form))
+    model = (widened(model) if arguments.slopes else model).to(processor)
     model.start(part)
     settings = dataclasses.replace(settings, batch=min(settings.batch, len(part)))
     decides = {"train": parameters.as_metadata(settings), "network": parameters.as_metadata(model.settings)}
+    decides["slopes"] = arguments.slopes
     sets = part, judged["validation"]
     kept = checkpoint.Checkpoint(arguments.out / f"checkpoints_{len(part)}", checkpoint.name(decides, sets), 60.0)
     losses = arguments.out / f"loss_{len(part)}.csv"
@@ -89,6 +120,11 @@ if __name__ == "__main__":
     parser.add_argument("--submaps", type=int, nargs="+", default=[100, 400, 1700])
     parser.add_argument(
         "--train", nargs="+", default=[], metavar="NAME=VALUE", help="other than in models.<model>.train"
+    )
+    parser.add_argument(
+        "--slopes",
+        action="store_true",
+        help="give each point the slopes of its plane: do neighbours tell what is missing?",
     )
     parser.add_argument("--seed", type=int, default=0, help="of which submaps are in a part")
     parser.add_argument("--out", type=Path, required=True)
