@@ -1,10 +1,10 @@
 """Twelve surveys of four kinds of ground closed from their own navigation, by every method (Table V on more ground).
 
 They are sailed over terrains that no number was chosen on: flat (relief below the noise), ridges (one grain), patchy
-(basins and rock, as the study's surveys), rugged, and a small harbour in half-metre cells. The method's
-numbers were frozen before any of them was run. Each is sailed once; further drifts are drawn about its truth
-(--drifts), and each is closed as pointnetkl.slam.closing.comparison does: `map` and `pair` beside monte_carlo (--runs
-registrations a label), their mean `constant`, and, given --model, that network.
+(basins and rock, as the study's surveys), rugged, and a small harbour in half-metre cells. Numbers of the covariance
+were changed once after they were first run, by other surveys (docs/closures.md). Each is sailed once; further drifts
+are drawn about its truth (--drifts), and each is closed as pointnetkl.slam.closing.comparison does: `map` and `pair`
+beside monte_carlo (--runs registrations a label), their mean `constant`, and, given --model, that network.
 
 Errors are in the plane: as it is, after the best fit of a shift and a turn, and of submaps that return to mapped
 ground, on that ground. `worse` counts runs that end over 2 % worse than navigation, as it is. `p` is of a t test,
