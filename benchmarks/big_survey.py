@@ -1,7 +1,7 @@
-"""Stages ingest and segment on a survey of gigabytes: seconds, rate, and the memory of the largest process.
+"""Stages ingest and segment, and command `correct`, on gigabytes: seconds, and the largest process's memory.
 
 The survey is generated: Kongsberg .all files of a lawnmower over rolling ground, 400 beams a ping, half of each file
-datagrams that are passed over, as in real ones.
+datagrams that are passed over, as in real ones. Its positions wander by up to a metre and a half from the truth.
 """
 
 import argparse
@@ -14,10 +14,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 ROOT = Path(__file__).parents[1]
 BEGIN_S = 1_600_000_000
 BEAMS, PING_S, SPEED_M_S, SPACING_M, LINE_M = 400, 0.2, 4.0, 60.0, 6000.0
+WANDER_M = 1.5
 _METRES_PER_DEGREE = 111_320.0
 
 _HEAD = [("length", "<u4"), ("stx", "u1"), ("kind", "S1"), ("model", "<u2"), ("date", "<u4"), ("ms", "<u4")]
@@ -50,14 +52,15 @@ def _pings(number: np.ndarray) -> np.ndarray:
     heading = np.where(back, 27_000, 9_000)
     across = np.linspace(-60, 60, BEAMS)
     seabed = y[:, None] + np.where(back, 1, -1)[:, None] * across
-    down = 40 + 2 * np.sin(x[:, None] / 31) * np.cos(seabed / 23)
+    down = 40 + 2 * np.sin(x[:, None] / 31) * np.cos(seabed / 23) + 0.7 * np.sin((x[:, None] + 2 * seabed) / 9.7)
     down += np.random.default_rng(int(number[0])).normal(0, 0.03, down.shape)
     beam = table["swath"]["beam"]
     beam["down"], beam["across"], beam["quality"] = down, across, 9
     for name, value in (("heading", heading), ("transducer", 2.0), ("beams", BEAMS), ("valid", BEAMS)):
         table["swath"][name] = value
-    table["position"]["latitude"] = np.rint((50 + y / _METRES_PER_DEGREE) * 2e7)
-    table["position"]["longitude"] = np.rint(x / (_METRES_PER_DEGREE * np.cos(np.deg2rad(50))) * 1e7)
+    east, north = (x + WANDER_M * np.sin(number / 9_000), y + WANDER_M * (np.cos(number / 7_000) - 1) / 2)
+    table["position"]["latitude"] = np.rint((50 + north / _METRES_PER_DEGREE) * 2e7)
+    table["position"]["longitude"] = np.rint(east / (_METRES_PER_DEGREE * np.cos(np.deg2rad(50))) * 1e7)
     table["position"]["heading"], table["position"]["descriptor"] = heading, 0x81
     for name, kind in (("position", b"P"), ("swath", b"X"), ("passed", b"N")):
         _frame(table[name], kind, number)
@@ -78,18 +81,19 @@ def _frame(table: np.ndarray, kind: bytes, number: np.ndarray) -> None:
     table["checksum"] = inner.sum(axis=1, dtype=np.uint32) & 0xFFFF
 
 
-def run(script: str, *words: object) -> tuple[float, int]:
-    """Run a stage; return seconds, and the bytes of the largest process so far."""
+def run(*words: object) -> tuple[float, int]:
+    """Run Python with a command line; return seconds, and the bytes of the largest process so far."""
     began = time.monotonic()
-    subprocess.run([sys.executable, ROOT / "pipeline" / script, "big", *map(str, words)], check=True, cwd=ROOT)
+    subprocess.run([sys.executable, *map(str, words)], check=True, cwd=ROOT)
     return time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
 
 
 def main() -> None:
-    """Generate the survey, run the two stages, print what they took."""
+    """Generate the survey, run the two stages and the command, print what they took."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--gigabytes", type=float, default=2.0, help="of raw data in all")
     parser.add_argument("--files", type=int, default=4)
+    parser.add_argument("--length", type=float, help="of submaps for `correct`, metres; by default chosen by it")
     parser.add_argument("--folder", type=Path, help="where to work; it takes three times the raw data")
     arguments = parser.parse_args()
     pings = int(arguments.gigabytes * 1e9 / PING.itemsize / arguments.files)
@@ -107,21 +111,32 @@ def main() -> None:
         text = (ROOT / "params.yaml").read_text()
         params.write_text(text.replace("  test: &test\n", f"  test: &test\n{line}"))
         (folder / "none").write_text("none\n")
+        given = ("--params", params)
         ingest = run(
-            "ingest.py", "--params", params, "--raw", folder / "raw", "--truth", folder / "none", "--out", folder
+            "pipeline/ingest.py", "big", *given, "--raw", folder / "raw", "--truth", folder / "none", "--out", folder
         )
         words = ("--survey", folder, "--submaps", folder / "submaps.parquet", "--poses", folder / "poses.parquet")
-        segment = run("segment.py", "--params", params, *words)
-    print(json.dumps({"bytes": size, "soundings": pings * arguments.files * BEAMS} | _told(size, ingest, segment)))
+        segment = run("pipeline/segment.py", "big", *given, *words)
+        for table in ("pings", "soundings", "submaps", "poses"):
+            (folder / f"{table}.parquet").unlink()
+        length = ("--length", arguments.length) if arguments.length else ()
+        correct = run("-m", "pointnetkl", "correct", folder / "raw", "--out", folder / "corrected", *length)
+        verdict = yaml.safe_load((folder / "corrected/parameters.yaml").read_text())["verdict"]
+    told = {"bytes": size, "soundings": pings * arguments.files * BEAMS} | _told(size, ingest, segment, correct)
+    print(json.dumps(told | {"verdict": verdict["sentence"]}))
 
 
-def _told(size: int, ingest: tuple[float, int], segment: tuple[float, int]) -> dict[str, float]:
+def _told(
+    size: int, ingest: tuple[float, int], segment: tuple[float, int], correct: tuple[float, int]
+) -> dict[str, float]:
     return {
         "ingest_s": round(ingest[0], 1),
         "ingest_mb_s": round(size / ingest[0] / 1e6, 1),
         "ingest_peak_mib": ingest[1] >> 20,
         "segment_s": round(segment[0], 1),
-        "peak_mib": segment[1] >> 20,  # of both stages
+        "segment_peak_mib": segment[1] >> 20,  # of both stages
+        "correct_s": round(correct[0], 1),
+        "peak_mib": correct[1] >> 20,  # of all
     }
 
 

@@ -191,11 +191,21 @@ def with_wrong(track: Track, settings: comparison.Settings, registration: pair.S
         yield key | comparison.errors(poses, estimate, track.truth, ties) | counts
 
 
-def sail(params: Path, name: str, plan: Plan) -> Track:
-    """Return a survey, cut into submaps."""
+@dataclasses.dataclass(frozen=True)
+class Sailing:
+    """What a survey is sailed with, and how it is cut."""
+
+    settings: simulation.Settings
+    vehicle: vehicle.Settings
+    ground: seabed.Random
+    length_m: float
+    spacing_m: float
+
+
+def prepared(params: Path, plan: Plan, more: int = 0) -> Sailing:
+    """Return what a survey is sailed with; `more` is for others of its kind, with other ground and drift."""
     settings = parameters.read(params, f"simulate.{plan.like}", simulation.Settings)
     line, scale = study.survey(params, plan.like), plan.scale
-    spacing, length = round(scale * line.point_spacing_m, 1), scale * line.submap_length_m
     layout = dataclasses.replace(
         settings.layout,
         **{key: scale * getattr(settings.layout, key) for key in ("line_length_m", "start_jitter_m", "repeat_m")},
@@ -203,7 +213,7 @@ def sail(params: Path, name: str, plan: Plan) -> Track:
     )
     settings = dataclasses.replace(
         settings,
-        seed=SEEDS + 10_000 * plan.seed,
+        seed=SEEDS + 10_000 * plan.seed + more,
         layout=layout,
         **{key: scale * getattr(settings, key) for key in ("altitude_m", "ping_spacing_m", "beam_spacing_m")},
     )
@@ -212,14 +222,20 @@ def sail(params: Path, name: str, plan: Plan) -> Track:
         raise SystemExit(f"{plan.like} has no terrain; leave it out")
     easting, northing = settings.centre_m
     ground = seabed.Random(plan.terrain(settings.terrain), settings.seed, settings.crs, (easting, northing))
-    lines = list(simulation.survey(settings, sailing, ground))
-    cut = [submap for line in lines for submap in stretches(line, length, spacing)]
+    return Sailing(settings, sailing, ground, scale * line.submap_length_m, round(scale * line.point_spacing_m, 1))
+
+
+def sail(params: Path, name: str, plan: Plan) -> Track:
+    """Return a survey, cut into submaps."""
+    made = prepared(params, plan)
+    lines = list(simulation.survey(made.settings, made.vehicle, made.ground))
+    cut = [submap for line in lines for submap in stretches(line, made.length_m, made.spacing_m)]
     clouds, navigation, truth, times = zip(*cut, strict=True)
     start = lines[0].truth.iloc[0]
     fix = drift.Fix(*(float(start[key]) for key in ("time_s", "x_m", "y_m")))
     rates = parameters.read(params, "navigation", dict[str, drift.Settings])["simulated"]
     number, poses, true = np.arange(len(clouds)), np.array(navigation), np.array(truth)
-    return Track(name, number, list(clouds), poses, true, np.array(times), fix, rates, spacing)
+    return Track(name, number, list(clouds), poses, true, np.array(times), fix, rates, made.spacing_m)
 
 
 def stretches(

@@ -34,7 +34,8 @@ def test_the_wheel_has_every_module_and_says_that_it_is_typed(wheel: Path):
         packed = {name for name in archive.namelist() if name.startswith("pointnetkl/")}
     sources = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src/pointnetkl").rglob("*.py")}
     weights = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src/pointnetkl/weights").glob("*.pt")}
-    assert packed == sources | weights | {"pointnetkl/py.typed"}
+    pages = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src/pointnetkl").rglob("*.html")}
+    assert packed == sources | weights | pages | {"pointnetkl/py.typed"}
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from imports import LIBRARY, arrows, circle, modules, named, room
 # Each room imports from the lines below its own only. docs/architecture.md says what each is for.
 LAYERS = (
     ("commands",),
+    ("correction",),
     ("estimator", "inspection", "exchange", "authors"),
     ("reporting",),
     ("methods", "training"),

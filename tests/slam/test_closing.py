@@ -4,13 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import closable
 from closable import Toy
 from pointnetkl.slam.closing import gates, search, survey
-from pointnetkl.slam.closing.estimate import ClosingError, Estimate, from_matrices
+from pointnetkl.slam.closing.estimate import ClosingError, Closure, Estimate, Tie, from_matrices, to_matrices
 from pointnetkl.slam.closing.schemas import State
-from pointnetkl.slam.closing.survey import Closed
+from pointnetkl.slam.closing.survey import Closed, Found
+from pointnetkl.surveys import pose
 
 SETTINGS = survey.Settings()
 HELD = [1e-3, 1e-3, 1e-9]
@@ -180,3 +182,162 @@ def test_registrations_of_yaw_are_refused(hills: Toy):
 def test_poses_without_clouds_are_refused(hills: Toy):
     with pytest.raises(ClosingError, match="one each"):
         survey.close(hills.clouds[1:], hills.truth, hills.covariance, 2.0, SETTINGS, closable.REGISTRATION)
+
+
+def on_map(toy: Toy, k: int, offset: np.ndarray, sigma_m: float = 0.01) -> Closure:
+    """Return the tie that moves the middle of submap k by an offset (2,) on the map."""
+    tie, A = Tie.at(from_matrices(toy.truth), k, [], np.empty(0), np.array([10.0, -5.0])), np.eye(2) / sigma_m
+    return Closure(tie, A, A @ offset, sigma_m**2, offset)
+
+
+def test_a_tie_to_the_map_has_the_offset_of_its_lever_on_the_map(hills: Toy):
+    poses = from_matrices(hills.truth)
+    tie = Tie.at(poses, 5, [], np.empty(0), np.array([10.0, -5.0]))
+    assert tie.offset(poses) == pytest.approx([0, 0])
+    moved = poses.copy()
+    moved[5] += [2.0, 3.0, np.pi / 2]
+    at = poses[5, 2]
+    arm = np.array([10 * np.cos(at) + 5 * np.sin(at), 10 * np.sin(at) - 5 * np.cos(at)])
+    assert tie.offset(moved) == pytest.approx([2.0 - arm[1] - arm[0], 3.0 + arm[0] - arm[1]])
+    others = moved.copy()
+    others[[0, 4, 6]] += 100.0
+    assert tie.offset(others) == pytest.approx(tie.offset(moved))
+
+
+def test_slopes_of_a_tie_to_the_map_are_those_of_its_offset(hills: Toy):
+    poses = from_matrices(hills.drifted(0))
+    tie = Tie.at(from_matrices(hills.truth), 5, [], np.empty(0), np.array([10.0, -5.0]))
+    columns, J = tie.jacobian(poses)
+    assert columns.tolist() == [15, 16, 17]
+    for k in range(3):
+        step = np.zeros_like(poses)
+        step[5, k] = 1e-6
+        assert J[:, k] == pytest.approx((tie.offset(poses + step) - tie.offset(poses - step)) / 2e-6, abs=1e-6)
+
+
+def test_a_tie_to_the_map_is_as_unsure_as_its_submap(hills: Toy):
+    estimate = Estimate(from_matrices(hills.truth), hills.covariance)
+    tie = Tie.at(estimate.poses, 5, [], np.empty(0), np.zeros(2))
+    assert tie.variance(estimate) == pytest.approx(estimate.marginals[5, :2, :2])
+
+
+def test_anchors_correct_navigation_before_any_closure(hills: Toy):
+    offset = np.array([1.5, -1.0])
+    anchors = [on_map(hills, k, offset) for k in range(len(hills.truth))]
+    closed = survey.close(
+        hills.clouds, hills.truth, hills.of_drift(30.0), 2.0, SETTINGS, closable.REGISTRATION, anchors
+    )
+    moved = np.tile([1.5, -1.0], (len(hills.truth), 1))
+    assert (closed.navigation.poses - from_matrices(hills.truth))[:, :2] == pytest.approx(moved, abs=0.1)
+    assert (closed.poses - hills.truth)[:, :2, 3] == pytest.approx(moved, abs=0.1)
+    assert np.sqrt(closed.estimate.marginals[:, 0, 0]).max() < 0.05
+
+
+def test_anchors_hold_where_there_are_no_closures():
+    flat = closable.sail("flat")
+    closed = survey.close(
+        flat.clouds,
+        flat.truth,
+        flat.of_drift(30.0),
+        2.0,
+        SETTINGS,
+        closable.REGISTRATION,
+        [on_map(flat, 11, np.array([2.0, 0.0]))],
+    )
+    assert closed.accepted == []
+    assert (closed.poses - flat.truth)[11, :2, 3] == pytest.approx([2.0, 0.0], abs=0.3)
+    np.testing.assert_array_equal(closed.estimate.poses, closed.navigation.poses)
+
+
+def reference(toy: Toy, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the points of all submaps where they truly are."""
+    points = np.concatenate([pose.transform(T, cloud) for T, cloud in zip(toy.truth, toy.clouds, strict=True)])
+    return points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
+
+
+def test_a_reference_takes_out_a_shift_of_the_whole_survey(hills: Toy):
+    shift = np.tile([2.0, -1.5, 0.0], (len(hills.truth), 1))
+    navigation = closable.moved(hills.truth, shift)
+    covariance = hills.of_drift(1.0) + np.kron(np.ones((12, 12)), np.diag([9.0, 9.0, 0.0]))
+    closed = survey.close(
+        hills.clouds,
+        navigation,
+        covariance,
+        2.0,
+        SETTINGS,
+        closable.REGISTRATION,
+        reference=lambda low, high: reference(hills, low, high),
+    )
+    assert closable.rms(closed.poses, hills.truth) < 0.15
+    own = [f for f in closed.found if not f.targets]
+    assert [f.source for f in own] == list(range(12))
+    assert {f.state for f in own} == {State.ACCEPTED}
+    without = survey.close(hills.clouds, navigation, covariance, 2.0, SETTINGS, closable.REGISTRATION)
+    assert closable.rms(without.poses, hills.truth) == pytest.approx(2.5, abs=0.1)
+
+
+def test_where_there_is_no_reference_there_is_no_closure_on_it(hills: Toy):
+    closed = survey.close(
+        hills.clouds,
+        hills.truth,
+        hills.covariance,
+        2.0,
+        SETTINGS,
+        closable.REGISTRATION,
+        reference=lambda low, high: np.empty((0, 3)),
+    )
+    assert all(f.targets for f in closed.found)
+
+
+def test_another_way_to_register_a_round_gives_the_same(hills: Toy, closed: Closed):
+    rounds = []
+
+    def backwards(ground: search.Ground, estimate: Estimate) -> list[Found]:
+        rounds.append(len(estimate.poses))
+        return [f for k in reversed(range(12)) for f in survey.registered_at(ground, estimate, [k])][::-1]
+
+    navigation = hills.drifted(0)
+    again = survey.close(
+        hills.clouds, navigation, hills.covariance, 2.0, SETTINGS, closable.REGISTRATION, over=backwards
+    )
+    np.testing.assert_array_equal(again.poses, closed.poses)
+    assert len(rounds) == again.rounds - 1 == closed.rounds - 1
+
+
+def test_submaps_registered_one_by_one_are_those_registered_together(hills: Toy):
+    there, estimate = ground(hills, hills.drifted(0)), Estimate(from_matrices(hills.drifted(0)), hills.covariance)
+    together = survey.registered_at(there, estimate)
+    apart = [f for k in range(12) for f in survey.registered_at(there, estimate, [k])]
+    assert [f.source for f in apart] == [f.source for f in together]
+    for one, other in zip(apart, together, strict=True):
+        assert one.closure is not None
+        assert other.closure is not None
+        np.testing.assert_array_equal(one.closure.c, other.closure.c)
+
+
+def test_a_closure_says_how_many_points_it_is_of(closed: Closed):
+    for f in closed.found:
+        assert f.closure is not None
+        assert 20 <= f.closure.points <= 1500
+
+
+def tilted_poses(toy: Toy) -> np.ndarray:
+    """Return the true poses with a roll and a pitch."""
+    angles = np.random.default_rng(4).normal(0, 0.1, (len(toy.truth), 2))
+    poses = toy.truth.copy()
+    poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler("yx", angles).as_matrix()
+    return poses
+
+
+def test_poses_that_do_not_move_stay_to_the_last_digit_but_rounding(hills: Toy):
+    tilted = tilted_poses(hills)
+    assert to_matrices(from_matrices(tilted), tilted) == pytest.approx(tilted, abs=1e-12)
+
+
+def test_moved_poses_keep_depth_roll_and_pitch(hills: Toy):
+    tilted = tilted_poses(hills)
+    plane = from_matrices(tilted) + np.array([3.0, -2.0, 0.7])
+    moved = to_matrices(plane, tilted)
+    assert from_matrices(moved) == pytest.approx(plane)
+    np.testing.assert_array_equal(moved[:, 2, 3], tilted[:, 2, 3])
+    assert moved[:, 2, :3] == pytest.approx(tilted[:, 2, :3])  # the map's vertical, in the submap's frame

@@ -104,7 +104,7 @@ def test_a_fix_before_the_first_pose_makes_that_pose_uncertain():
     assert later[0, 0] > 100 * drift.covariance(time_s, xy, DRIFT)[0, 0]
 
 
-@pytest.mark.parametrize("name", sorted(set(drift.PRESETS) - {"gnss"}))
+@pytest.mark.parametrize("name", sorted(set(drift.PRESETS) - {"gnss", "usbl"}))
 def test_a_preset_drifts_by_the_share_of_distance_that_it_states(name: str):
     stated = {"navigation_grade": (0.0005, 0.002), "gyrocompass": (0.0015, 0.004), "compass": (0.008, 0.02)}[name]
     noise = drift.edge_noise(500.0, 1000.0, drift.PRESETS[name])
@@ -113,11 +113,56 @@ def test_a_preset_drifts_by_the_share_of_distance_that_it_states(name: str):
     assert noise.x_m > 0.9 * drift.PRESETS[name].scale_error * 1000
 
 
-def test_positions_of_gnss_do_not_drift():
+@pytest.mark.parametrize(("name", "sigma_m"), [("gnss", 0.5), ("usbl", 3.0)])
+def test_absolute_positions_are_as_sure_at_any_distance_and_do_not_begin_at_a_fix(name: str, sigma_m: float):
     time_s, xy = STRAIGHT
-    cov = drift.covariance(time_s, xy, drift.PRESETS["gnss"], Fix(-10.0, -20.0, 0.0))
-    assert np.sqrt(np.diag(cov)).reshape(-1, 3) == pytest.approx(np.tile([1.0, 1.0, 2e-3], (len(time_s), 1)))
-    assert np.count_nonzero(cov) == 3 * len(time_s)
+    rates = drift.PRESETS[name]
+    for fix in (None, Fix(-10.0, -20.0, 0.0)):
+        sigma = np.sqrt(np.diag(drift.covariance(time_s, xy, rates, fix))).reshape(-1, 3)
+        position = np.hypot(sigma_m, rates.position_noise_m)
+        assert sigma == pytest.approx(np.tile([position, position, 2e-3], (len(time_s), 1)))
+
+
+def test_absolute_positions_wander_together_and_apart():
+    settings = drift.Settings(0, 0, 0, 1.0, 0, 1.0, position_walk_m=3.0, position_correlation_s=100.0)
+    time_s, xy = np.array([0.0, 1.0, 100.0, 1e5]), np.zeros((4, 2))
+    C = drift.covariance(time_s, xy, settings)
+    assert C[0, 3] == pytest.approx(9 * np.exp(-0.01))
+    assert C[0, 6] == pytest.approx(9 * np.exp(-1))
+    assert C[0, 9] == pytest.approx(0, abs=1e-9)
+    assert C[0, 4] == C[0, 5] == 0  # x says nothing of y and of yaw
+    assert C[1::3, 1::3] == pytest.approx(C[::3, ::3])
+
+
+def test_a_wander_adds_to_drift():
+    time_s, xy = STRAIGHT
+    wander = dataclasses.replace(DRIFT, position_walk_m=2.0, position_correlation_s=50.0)
+    alone = drift.Settings(0, 0, 0, 1.0, 0, 1.0, 2.0, 50.0, position_noise_m=1e-9, yaw_noise_rad=1e-9)
+    both = drift.covariance(time_s, xy, DRIFT) + drift.covariance(time_s, xy, alone)
+    assert drift.covariance(time_s, xy, wander) == pytest.approx(both, abs=1e-12)
+
+
+def test_rates_multiplied_multiply_sigmas_and_keep_times():
+    usbl = drift.PRESETS["usbl"]
+    rates = usbl.times(2.0)
+    assert (rates.position_walk_m, rates.position_noise_m) == (2 * usbl.position_walk_m, 2 * usbl.position_noise_m)
+    assert rates.position_correlation_s == usbl.position_correlation_s
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position_walk_m": -1.0},
+        {"position_walk_m": 1e5},
+        {"position_correlation_s": 0.0},
+        {"heading_correlation_s": np.inf},
+        {"position_noise_m": 0.0},
+    ],
+)
+def test_rates_out_of_range_are_refused_by_their_name(change: dict):
+    (name,) = change
+    with pytest.raises(ValueError, match=f"^{name} is"):
+        dataclasses.replace(DRIFT, **change)
 
 
 def test_times_that_do_not_grow_are_refused():

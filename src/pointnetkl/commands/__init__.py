@@ -3,4 +3,4 @@
 To add a command, put a module here and its name in NAMES.
 """
 
-NAMES = ("inspect", "predict", "slam", "export", "solve")  # in the order of the help
+NAMES = ("correct", "demo", "inspect", "predict", "slam", "export", "solve")  # in the order of the help

@@ -51,8 +51,8 @@ class Settings:
             raise ValueError(f"sbet_clock is {self.sbet_clock!r}, must be {sbet.GPS} or {sbet.UTC}")
 
 
-def read(path: Path, settings: Settings, sink: Sink, scratch: Path | None = None) -> Survey:
-    """Read a raw survey: a file, or all files of a folder, which may be of several formats.
+def read(paths: Path | Sequence[Path], settings: Settings, sink: Sink, scratch: Path | None = None) -> Survey:
+    """Read a raw survey: files, and all files of folders, which may be of several formats.
 
     Soundings may not fit in memory. Until all files are read they are kept in a folder below `scratch`, 29 bytes each;
     then `sink` gets them part by part (survey.SOUNDINGS), in order of ping and beam. With `utm_zone` auto, longitudes
@@ -63,7 +63,8 @@ def read(path: Path, settings: Settings, sink: Sink, scratch: Path | None = None
         ReaderError: the path is missing, or a folder without raw files.
         SurveyError: a file is empty, of no known format or damaged beyond use, or no file has a usable ping.
     """
-    raw, ignored = files(path)
+    listed = [files(path) for path in ([paths] if isinstance(paths, Path) else paths)]
+    raw, ignored = (list(dict.fromkeys(file for part in parts for file in part)) for parts in zip(*listed, strict=True))
     if scratch is not None:
         scratch.mkdir(parents=True, exist_ok=True)
         for abandoned in scratch.glob(f"{_SPOOL}*"):  # as large as a survey, of a run that was killed

@@ -6,6 +6,7 @@ from pathlib import Path
 from pointnetkl.workflow import parameters
 
 MOST_RUNS = 1_000_000  # of a label: their errors are held at once
+UNSTATED = "gyrocompass"  # how a survey drifts whose line does not say
 _LEAST = ("pointnetkl", "network")  # the models that stages calibrate and report cannot do without
 
 
@@ -23,7 +24,7 @@ class StudySurvey:
     submap_length_m: float
     point_spacing_m: float
     label_runs: int  # registrations per Monte Carlo label
-    navigation: str = "gyrocompass"  # how it drifts: a name of section `navigation`, or a preset of slam.closing.drift
+    navigation: str = UNSTATED  # how it drifts: a name of section `navigation`, or a preset of slam.closing.drift
 
     def __post_init__(self) -> None:
         """Refuse lengths and counts that no submap can be cut with."""

@@ -7,7 +7,7 @@ axes of the map) and yaw (radians) have one dense covariance (3 n, 3 n), in the 
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from pointnetkl.slam.graph.pose_graph import DeadReckoningNoise
 from pointnetkl.workflow.errors import PointNetKLError
-from pointnetkl.workflow.parameters import require_positive, require_within
+from pointnetkl.workflow.parameters import require_within
 
 
 class DriftError(PointNetKLError):
@@ -39,6 +39,10 @@ class Settings:
     heading_correlation_s: float
     velocity_walk_mps: float  # each axis
     velocity_correlation_s: float
+    # of an absolute position, x and y, as a satellite receiver or USBL gives it: it wanders and is bounded
+    position_walk_m: float = 0.0
+    position_correlation_s: float = 600.0
+    start_m: float = 0.0  # of the place where dead reckoning begins, which all poses share
     position_noise_m: float = 0.01  # of each pose alone, x and y
     yaw_noise_rad: float = 1e-5
     depth_noise_m: float = 0.05
@@ -47,9 +51,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        require_positive(self, "heading_correlation_s", "velocity_correlation_s")
+        correlations = [field.name for field in dataclasses.fields(self) if "_correlation_" in field.name]
+        require_within(self, 1e-3, 1e9, *correlations)
         require_within(self, 0.0, 1.0, "scale_error", "heading_bias_rad", "heading_walk_rad")
         require_within(self, 0.0, 10.0, "velocity_walk_mps")
+        require_within(self, 0.0, 1e4, "position_walk_m", "start_m")
         noises = [field.name for field in dataclasses.fields(self) if "_noise_" in field.name]
         require_within(self, 1e-9, 1e3, *noises)  # above 0: the covariance of all poses must have an inverse
 
@@ -70,7 +76,9 @@ PRESETS: Mapping[str, Settings] = MappingProxyType(
         # micromechanical unit with a magnetic compass (0.5 to 1 deg): 1 to 2 % of distance
         "compass": Settings(4e-3, 1e-2, 1e-2, 600.0, 1e-2, 300.0, yaw_noise_rad=1e-3),
         # positions of a satellite receiver, which do not drift; heading of its two antennas or of a gyrocompass
-        "gnss": Settings(0.0, 0.0, 0.0, 1200.0, 0.0, 300.0, position_noise_m=1.0, yaw_noise_rad=2e-3),
+        "gnss": Settings(0.0, 0.0, 0.0, 1200.0, 0.0, 300.0, 0.5, 600.0, position_noise_m=0.02, yaw_noise_rad=2e-3),
+        # a vehicle whose unit is aided by USBL from a ship; heading of its gyrocompass
+        "usbl": Settings(0.0, 0.0, 0.0, 1200.0, 0.0, 300.0, 3.0, 300.0, position_noise_m=0.1, yaw_noise_rad=2e-3),
     }
 )
 
@@ -110,20 +118,53 @@ def covariance(time_s: np.ndarray, xy: np.ndarray, settings: Settings, fix: Fix 
         DriftError: times do not grow, or there are not as many of them as places.
     """
     times, places = _track(time_s, xy, fix)
+    n = len(times)
+    total = np.zeros((n, 3, n, 3))
+    for i, j, part in _parts(times, places, settings):
+        total[:, i, :, j] += part
+    kept = total[n - len(time_s) :, :, n - len(time_s) :].reshape(2 * (3 * len(time_s),))
+    return np.asarray((kept + kept.T) / 2 + np.diag(np.tile(_noise(settings), len(time_s))))
+
+
+def relations(
+    time_s: np.ndarray, xy: np.ndarray, settings: Settings, rows: np.ndarray, fix: Fix | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `covariance` has of some poses (m,) with all: (3 m, 3 n), and of each pose with itself (n, 3, 3).
+
+    It is for many poses of which few are tied: the covariance of all would not fit in memory.
+
+    Raises:
+        DriftError: as by covariance.
+    """
+    times, places = _track(time_s, xy, fix)
+    before, n = len(times) - len(time_s), len(time_s)
+    cross, own = np.zeros((len(rows), 3, n, 3)), np.zeros((n, 3, 3))
+    for i, j, part in _parts(times, places, settings):
+        cross[:, i, :, j] += part[rows + before, before:]
+        own[:, i, j] += np.diagonal(part)[before:]
+    noise = np.diag(_noise(settings))
+    cross[np.arange(len(rows)), :, rows] += noise
+    return cross.reshape(3 * len(rows), 3 * n), own + noise
+
+
+def _noise(settings: Settings) -> np.ndarray:
+    return np.square([settings.position_noise_m, settings.position_noise_m, settings.yaw_noise_rad])
+
+
+def _parts(times: np.ndarray, places: np.ndarray, settings: Settings) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield pairs of axes (0: x, 1: y, 2: yaw), and a part (n, n) of the covariance of one with the other."""
     step, move = np.diff(times), np.diff(places, axis=0)
     crosswise = np.column_stack([-move[:, 1], move[:, 0]])  # where a heading error takes a move
-    total = np.zeros((len(times), 3, len(times), 3))
     for source, sigma, yaw in ((move, settings.scale_error, 0.0), (crosswise, settings.heading_bias_rad, 1.0)):
-        effect = np.column_stack([_summed(source), np.full(len(times), yaw)])
-        total += sigma**2 * effect[:, :, None, None] * effect
-    total += settings.heading_walk_rad**2 * _of_heading(times, crosswise, settings.heading_correlation_s)
+        effect = sigma * np.column_stack([_summed(source), np.full(len(times), yaw)])
+        yield from ((i, j, np.outer(effect[:, i], effect[:, j])) for i in range(3) for j in range(3))
+    for i, j, part in _of_heading(times, crosswise, settings.heading_correlation_s):
+        yield i, j, settings.heading_walk_rad**2 * part
     means, _, _ = _walk(times, settings.velocity_correlation_s)
     walked = settings.velocity_walk_mps**2 * _summed(_summed(means * np.outer(step, step)).T)
-    for axis in (0, 1):
-        total[:, axis, :, axis] += walked
-    kept = total[len(times) - len(time_s) :, :, len(times) - len(time_s) :].reshape(2 * (3 * len(time_s),))
-    noise = [settings.position_noise_m, settings.position_noise_m, settings.yaw_noise_rad]
-    return np.asarray((kept + kept.T) / 2 + np.diag(np.tile(np.square(noise), len(time_s))))
+    _, _, wander = _walk(times, settings.position_correlation_s)
+    along_axis = walked + settings.position_walk_m**2 * wander + settings.start_m**2
+    yield from ((axis, axis, along_axis) for axis in (0, 1))
 
 
 def edge_noise(time_s: float, length_m: float, settings: Settings) -> DeadReckoningNoise:
@@ -161,18 +202,16 @@ def _summed(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0)])
 
 
-def _of_heading(times: np.ndarray, crosswise: np.ndarray, correlation: float) -> np.ndarray:
-    """Return the covariance (n, 3, n, 3) of poses for a walk of the heading of unit variance."""
-    n = len(times)
+def _of_heading(times: np.ndarray, crosswise: np.ndarray, correlation: float) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield the covariance of poses, as _parts does, for a walk of the heading of unit variance."""
     means, mixed, points = _walk(times, correlation)
-    cov = np.zeros((n, 3, n, 3))
     for i in (0, 1):
         for j in (0, 1):
-            cov[:, i, :, j] = _summed(_summed(means * np.outer(crosswise[:, i], crosswise[:, j])).T).T
-        cov[:, i, :, 2] = _summed(mixed * crosswise[:, i, None])
-        cov[:, 2, :, i] = cov[:, i, :, 2].T
-    cov[:, 2, :, 2] = points
-    return cov
+            yield i, j, _summed(_summed(means * np.outer(crosswise[:, i], crosswise[:, j])).T).T
+        with_yaw = _summed(mixed * crosswise[:, i, None])
+        yield i, 2, with_yaw
+        yield 2, i, with_yaw.T
+    yield 2, 2, points
 
 
 def _walk(times: np.ndarray, correlation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

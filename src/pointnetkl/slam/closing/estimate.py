@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from pointnetkl.surveys import pose
 from pointnetkl.surveys.se2 import SE2, rotate
 from pointnetkl.workflow.errors import PointNetKLError
 
@@ -53,7 +52,7 @@ class Tie:
     """A source among targets, as they lay when they were tied: its offset is how far poses have moved it since.
 
     The offset (2,) is that of the point `lever` of the source, in metres, in the axes of the targets at that time,
-    against where it lay. With several targets it is a mean.
+    against where it lay. With several targets it is a mean. Without any it is tied to the map itself.
     """
 
     source: int
@@ -74,6 +73,8 @@ class Tie:
     def offset(self, poses: np.ndarray) -> np.ndarray:
         """Return the offset (2,) at poses (n, 3)."""
         moved = _point(poses[self.source], self.lever)
+        if not len(self.targets):
+            return np.asarray(moved - _point(self.tied_source, self.lever))
         places = [
             tied[:2] + rotate(moved - now[:2], tied[2] - now[2])
             for tied, now in zip(self.tied, poses[list(self.targets)], strict=True)
@@ -85,6 +86,8 @@ class Tie:
         at = poses[self.source]
         arm = rotate(self.lever, at[2])
         moved, blocks = at[:2] + arm, [np.zeros((2, 3))]
+        if not len(self.targets):
+            return 3 * self.source + np.arange(3), np.column_stack([np.eye(2), _crosswise(arm)])
         for share, tied, k in zip(self.shares, self.tied, self.targets, strict=True):
             turn = tied[2] - poses[k, 2]
             R = rotate(np.eye(2), turn).T
@@ -109,6 +112,7 @@ class Closure:
     c: np.ndarray  # (rank,)
     residual_variance: float  # s^2 of its matches, m^2
     end: np.ndarray  # (2,) offset at which the search ended, metres
+    points: int = 0  # of the source over its targets, which were registered
 
     @property
     def rank(self) -> int:
@@ -159,9 +163,9 @@ def from_matrices(poses: np.ndarray) -> np.ndarray:
 def to_matrices(plane: np.ndarray, like: np.ndarray) -> np.ndarray:
     """Return poses (n, 4, 4) at x, y and yaw (n, 3), with the z, roll and pitch of other poses (n, 4, 4)."""
     moved = like.copy()
-    for T, (x, y, yaw) in zip(moved, plane, strict=True):
-        T[:3, :3] = pose.matrix(np.zeros(3), yaw - pose.yaw_of(T))[:3, :3] @ T[:3, :3]
-        T[:2, 3] = x, y
+    turn = plane[:, 2] - np.arctan2(like[:, 1, 0], like[:, 0, 0])
+    moved[:, :2, :3] = rotate(np.swapaxes(like[:, :2, :3], 1, 2), turn[:, None]).swapaxes(1, 2)
+    moved[:, :2, 3] = plane[:, :2]
     return moved
 
 

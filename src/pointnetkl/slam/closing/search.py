@@ -1,7 +1,7 @@
 """Loop closures searched from an estimate of a survey's poses: which submaps lie on which, and where they register."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,9 @@ from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose
 from pointnetkl.surveys.se2 import rotate
 from pointnetkl.workflow.parameters import require_positive, require_within
+
+# The points (m, 3) of a known seabed over a rectangle of the map, from its lower to its upper corner (2,), metres
+Reference = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 _SIGMAS = 3.0  # of the relative place, that two submaps may lie apart and still meet
 
@@ -50,6 +53,7 @@ class Ground:
     spacing_m: float
     registration: pair.Settings
     settings: Settings
+    reference: Reference | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be registered.
@@ -82,22 +86,22 @@ class Ground:
         )
 
 
-def targets(ground: Ground, estimate: Estimate, source: int) -> list[int]:
+def targets(ground: Ground, estimate: Estimate, source: int, posed: "Posed | None" = None) -> list[int]:
     """Return the earlier submaps that a source lies on; none where they cover too little of it together.
 
     What they cover is expected over where the source may lie on each of them, by the estimate's relative variance; so
     is how far off a submap may be. The one just before the source never counts.
     """
     cell = ground.settings.cell_factor * ground.spacing_m
-    posed, covered = _Posed(ground, estimate), {}
+    posed, covered = posed or Posed(ground, estimate), {}
     middles = posed.middles
     apart = np.hypot(*(middles[source] - middles[: max(source - 1, 0)]).T)
     reach = ground.radii[source] + ground.radii[: len(apart)]
     cloud = posed.cloud(source)[:, :2] if len(apart) else np.empty((0, 2))
     for k in np.flatnonzero(apart <= reach + _farthest(estimate, source, len(apart))).tolist():
         around = _sigma_points(Tie.at(estimate.poses, source, [k], None, ground.levers[source]).variance(estimate))
-        covering = footprint.cells(posed.cloud(k), cell)
-        share = np.mean([np.isin(footprint.keys(cloud + offset, cell), covering) for offset in around], axis=0)
+        covering = posed.footprint(k, cell)
+        share = np.mean([footprint.within(footprint.keys(cloud + offset, cell), covering) for offset in around], axis=0)
         if share.mean() >= ground.settings.target_coverage:
             covered[k] = share
     if not covered or np.max(list(covered.values()), axis=0).mean() < ground.settings.coverage:
@@ -105,33 +109,43 @@ def targets(ground: Ground, estimate: Estimate, source: int) -> list[int]:
     return list(covered)
 
 
-def register(ground: Ground, estimate: Estimate, source: int, on: Sequence[int]) -> Closure | None:
+def register(
+    ground: Ground, estimate: Estimate, source: int, on: Sequence[int], posed: "Posed | None" = None
+) -> Closure | None:
     """Return the closure of a source registered on targets, from where the estimate has it; None without matches.
+
+    Without targets it is registered on the ground's reference, and its tie is to the map.
 
     It is the likelihood alone, about the place where the search ends: nothing of the start is in it. The search's prior
     is wide on purpose, for an estimate may be too sure.
     """
-    posed = _Posed(ground, estimate)
+    posed = posed or Posed(ground, estimate)
     whole = posed.cloud(source)
     origin = whole.mean(axis=0)  # small coordinates round less
-    mapped, owner = _mapped(posed, on, whole, ground.registration.max_distance_m)
+    mapped, owner = _mapped(posed, on, whole, ground)
     prepared = gicp.prepare(whole - origin, ground.registration)
     reach = ground.settings.overlap_factor * ground.spacing_m
+    if len(mapped) < ground.registration.neighbours:
+        return None
     distance, nearest = cKDTree((mapped - origin)[:, :2]).query(prepared.points[:, :2], distance_upper_bound=reach)
     over = np.isfinite(distance)
-    if min(over.sum(), len(mapped)) < ground.registration.neighbours:
+    if over.sum() < ground.registration.neighbours:
         return None
     part = gicp.part(prepared, over, ground.registration)
-    shares = np.bincount(owner[nearest[over]], minlength=len(on)) / over.sum()
+    shares = np.bincount(owner[nearest[over]], minlength=len(on))[: len(on)] / over.sum()
     x, y, yaw = estimate.poses[source]
     lever = rotate((part.points.mean(axis=0) + origin)[:2] - [x, y], -yaw)
     tie = Tie.at(estimate.poses, source, list(on), shares, lever)
     return _closure(ground, tie, estimate, part, gicp.prepare(mapped - origin, ground.registration))
 
 
-def _mapped(posed: "_Posed", on: Sequence[int], cloud: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+def _mapped(posed: "Posed", on: Sequence[int], cloud: np.ndarray, ground: Ground) -> tuple[np.ndarray, np.ndarray]:
     """Return the points (m, 3) of targets over the rectangle of a cloud and a margin, and each one's place in `on`."""
+    margin = ground.registration.max_distance_m
     low, high = cloud[:, :2].min(axis=0) - margin, cloud[:, :2].max(axis=0) + margin
+    if not len(on):
+        known = ground.reference(low, high) if ground.reference else np.empty((0, 3))
+        return known, np.zeros(len(known), np.int64)
     clouds = [posed.cloud(k) for k in on]
     around = [c[((c[:, :2] >= low) & (c[:, :2] <= high)).all(axis=1)] for c in clouds]
     return np.concatenate(around), np.repeat(np.arange(len(on)), [len(c) for c in around])
@@ -148,23 +162,33 @@ def _closure(ground: Ground, tie: Tie, estimate: Estimate, part: gicp.Part, targ
     moved = (
         end.T_target_source.translation
     )  # the factor's offset is from the end of the search, and the tie's from its start
-    return Closure(tie, held.A, held.c + held.A @ moved, end.forces.residual_variance, moved)
+    variance = end.forces.residual_variance
+    return Closure(tie, held.A, held.c + held.A @ moved, variance, moved, len(part.points))
 
 
-class _Posed:
-    """Clouds of a survey where an estimate has them."""
+class Posed:
+    """Clouds of a survey where an estimate has them, and their footprints, each made once."""
 
     def __init__(self, ground: Ground, estimate: Estimate) -> None:
+        """Pose no cloud yet."""
         self._ground = ground
+        self._footprints: dict[int, np.ndarray] = {}
         self._poses = to_matrices(estimate.poses, ground.navigation)
 
-    @property
+    @functools.cached_property
     def middles(self) -> np.ndarray:
         """Return the middles (n, 2) of the clouds in the map."""
         return np.asarray((self._poses[:, :2, :2] @ self._ground.levers[:, :, None])[:, :, 0] + self._poses[:, :2, 3])
 
     def cloud(self, k: int) -> np.ndarray:
+        """Return the points (n, 3) of a submap in the map."""
         return pose.transform(self._poses[k], self._ground.clouds[k])
+
+    def footprint(self, k: int, cell: float) -> np.ndarray:
+        """Return the sorted keys of the cells that hold points of a submap."""
+        if k not in self._footprints:
+            self._footprints[k] = footprint.cells(self.cloud(k), cell)
+        return self._footprints[k]
 
 
 def _farthest(estimate: Estimate, source: int, others: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A survey closed from its own navigation: closures searched, judged and solved, until nothing changes."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,8 @@ from pointnetkl.slam.closing.search import Ground
 from pointnetkl.slam.closing.search import Settings as SearchSettings
 from pointnetkl.surveys.se2 import rotate
 from pointnetkl.workflow.parameters import require_positive
+
+Over = Callable[[Ground, Estimate], "list[Found]"]
 
 _FEWEST = 5  # closures whose residuals have a median worth the name
 
@@ -82,6 +84,9 @@ def close(
     spacing_m: float,
     settings: Settings,
     registration: pair.Settings,
+    anchors: Sequence[Closure] = (),
+    reference: search.Reference | None = None,
+    over: "Over | None" = None,
 ) -> Closed:
     """Return a survey whose loops are closed, from its navigation as it is.
 
@@ -92,17 +97,20 @@ def close(
         spacing_m: of the survey's points.
         settings: of the search, the gates and the solution.
         registration: of the pairs, whose method should be map.
+        anchors: ties to the map that are known beforehand, such as fixes of position; they correct navigation first.
+        reference: a known seabed, on which submaps are registered too.
+        over: how the submaps of a round, which do not wait for each other, are registered; None: one after the other.
 
     Raises:
         ClosingError: poses, clouds and covariance are not of one survey, or the poses have no solution.
     """
-    ground = Ground(clouds, navigation, spacing_m, registration, settings.search)
-    start = Estimate(from_matrices(navigation), covariance)
+    ground = Ground(clouds, navigation, spacing_m, registration, settings.search, reference)
+    start = solving.solve(Estimate(from_matrices(navigation), covariance), anchors)
     found, estimate = judge(start, _along_the_track(ground, start), settings)
     rounds = 1
     while rounds < settings.rounds:
         last = estimate
-        found, estimate = judge(start, _registered_at(ground, last), settings)
+        found, estimate = judge(start, (over or registered_at)(ground, last), settings)
         rounds += 1
         if np.abs(estimate.poses - last.poses)[:, :2].max() < settings.steady_m:
             break
@@ -169,7 +177,7 @@ def _along_the_track(ground: Ground, navigation: Estimate) -> list[Found]:
     found: list[Found] = []
     estimate = navigation
     for source in range(len(navigation.poses)):
-        closures = _found(ground, estimate, source)
+        closures = _found(ground, estimate, source, search.Posed(ground, estimate))
         found += closures
         for f in closures:
             if f.closure is not None and _is_plausible(f.closure, estimate, _accepted(found), ground):
@@ -177,17 +185,22 @@ def _along_the_track(ground: Ground, navigation: Estimate) -> list[Found]:
     return found
 
 
-def _registered_at(ground: Ground, estimate: Estimate) -> list[Found]:
-    return [f for source in range(len(estimate.poses)) for f in _found(ground, estimate, source)]
+def registered_at(ground: Ground, estimate: Estimate, sources: Sequence[int] | None = None) -> list[Found]:
+    """Return the closures of some submaps, by default of all, registered from where an estimate has them."""
+    posed = search.Posed(ground, estimate)
+    asked = range(len(estimate.poses)) if sources is None else sources
+    return [f for source in asked for f in _found(ground, estimate, source, posed)]
 
 
-def _found(ground: Ground, estimate: Estimate, source: int) -> list[Found]:
-    """Return the closure of a submap, as a list of one; none where it lies on new ground."""
-    targets = search.targets(ground, estimate, source)
-    if not targets:
-        return []
-    closure = search.register(ground, estimate, source, targets)
-    return [Found(source, targets, closure, _of_ground(closure))]
+def _found(ground: Ground, estimate: Estimate, source: int, posed: search.Posed) -> list[Found]:
+    """Return the closures of a submap: on earlier ones, where it lies on mapped ground, and on the reference."""
+    on = [targets] if (targets := search.targets(ground, estimate, source, posed)) else []
+    found = []
+    for targets in [*on, *([[]] if ground.reference else [])]:
+        closure = search.register(ground, estimate, source, targets, posed)
+        if closure is not None or targets:
+            found.append(Found(source, targets, closure, _of_ground(closure)))
+    return found
 
 
 def _is_plausible(closure: Closure, estimate: Estimate, others: Sequence[Closure], ground: Ground) -> bool:

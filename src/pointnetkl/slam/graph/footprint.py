@@ -22,8 +22,12 @@ def places(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def coverage(covered: np.ndarray, covering: np.ndarray) -> float:
     """Return the share of one footprint's cells that another one has too, by their keys (see `cells`)."""
-    index = np.minimum(np.searchsorted(covering, covered), len(covering) - 1)
-    return float(np.mean(covering[index] == covered))
+    return float(np.mean(within(covered, covering)))
+
+
+def within(keys: np.ndarray, covering: np.ndarray) -> np.ndarray:
+    """Return whether (n,) each key is among those of a footprint, which has one at least."""
+    return np.asarray(covering[np.minimum(np.searchsorted(covering, keys), len(covering) - 1)] == keys)
 
 
 class Footprints:

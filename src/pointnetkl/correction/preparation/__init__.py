@@ -1,0 +1,1 @@
+"""A survey made ready: what is read, how it is cut, and what is known beside it."""

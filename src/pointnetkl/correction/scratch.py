@@ -1,0 +1,81 @@
+"""The folder beside the result where a correction keeps what it has finished, so that a killed run goes on."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pointnetkl.correction.result import CorrectionError
+from pointnetkl.workflow import artifacts
+
+
+class Scratch:
+    """Steps of a correction, each a folder that is there whole or not at all.
+
+    They are those of one input and one set of settings: the key. With another key all begins anew.
+
+    Raises:
+        CorrectionError: the folder cannot be made.
+    """
+
+    def __init__(self, out: Path, key: Mapping[str, Any]) -> None:
+        """Keep what an earlier run with this key has finished; remove that of others."""
+        self.folder = out.parent / f".{out.name}.partial"
+        stored, wanted = self.folder / "key.json", json.dumps(key, sort_keys=True, default=str)
+        try:
+            if not stored.is_file() or stored.read_bytes() != wanted.encode():
+                shutil.rmtree(self.folder, ignore_errors=True)
+                self.folder.mkdir(parents=True, exist_ok=True)
+                artifacts.write_bytes(stored, wanted.encode())
+        except OSError as error:
+            raise _failed(self.folder, error) from error
+
+    def step(self, name: str, make: Callable[[Path], None]) -> Path:
+        """Return the folder of a step, which `make` fills where it is not there.
+
+        Raises:
+            CorrectionError: the disk is full, or the folder cannot be written.
+        """
+        done, begun = self.folder / name, self.folder / f".{name}"
+        if done.is_dir():
+            print(f"{name}: finished by an earlier run")
+            return done
+        try:
+            shutil.rmtree(begun, ignore_errors=True)
+            begun.mkdir()
+            make(begun)
+            os.replace(begun, done)
+        except OSError as error:
+            raise _failed(begun, error) from error
+        return done
+
+    def leave(self) -> None:
+        """Remove the folder where no step is finished: there is nothing to go on with."""
+        if self.folder.is_dir() and not any(
+            path.is_dir() and not path.name.startswith(".") for path in self.folder.iterdir()
+        ):
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def deliver(self, name: str, out: Path) -> None:
+        """Move a step's folder to where the result belongs, in place of an earlier result, and remove the rest.
+
+        Raises:
+            CorrectionError: it cannot be moved.
+        """
+        old = self.folder / "replaced"
+        try:
+            if out.exists():
+                os.replace(out, old)
+            os.replace(self.folder / name, out)
+        except OSError as error:
+            raise _failed(out, error) from error
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _failed(path: Path, error: OSError) -> CorrectionError:
+    return CorrectionError(
+        f"{path}: cannot be written ({error.strerror or error}); make room or choose another folder, and run the same"
+        " command again: what is finished is kept"
+    )

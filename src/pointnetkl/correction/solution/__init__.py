@@ -1,0 +1,1 @@
+"""The correction itself: what is believed of navigation, loops closed, judged, and carried to every ping."""

@@ -1,0 +1,108 @@
+"""Whether a correction helps: by closures left out in turn, and by the depths of overlapping passes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from pointnetkl.correction.result import Verdict
+from pointnetkl.correction.settings import Settings
+from pointnetkl.slam.closing.estimate import Closure, Estimate, linearised
+
+_WORSE = 1.02  # of the overlaps' disagreement after to that before: more is harm
+_FEW = 5  # closures with fewer of which leaving out says little
+_TOGETHER = 3  # sources that follow each other
+_PLAIN = 0.8  # of the overlaps' disagreement that is left, which settles it where closures are few
+
+
+def left_out(navigation: Estimate, closures: Sequence[Closure]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return each closure's whitened residual (rank,) at navigation's poses, and where all others predict it.
+
+    The prediction without a closure follows from S^-1 of all, S = J C J^T + I: with S^-1's block P of the closure its
+    residual there is P^-1 (S^-1 r).
+    """
+    if not closures:
+        return [], []
+    J, r = linearised(closures, navigation.poses)
+    inverse = np.linalg.inv(J @ np.asarray((J @ navigation.covariance).T) + np.eye(len(r)))
+    pull, ends = inverse @ r, np.cumsum([closure.rank for closure in closures]).tolist()
+    rows = [slice(end - closure.rank, end) for end, closure in zip(ends, closures, strict=True)]
+    return [r[own] for own in rows], [np.linalg.solve(inverse[own, own], pull[own]) for own in rows]
+
+
+def information(closures: Sequence[Closure]) -> np.ndarray:
+    """Return the trace of each closure's information (k,), 1/m^2."""
+    return np.array([float(np.sum(closure.A**2)) for closure in closures])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a verdict is made of."""
+
+    navigation: Estimate  # before any closure
+    closures: Sequence[Closure]  # accepted
+    found: int  # returns to mapped ground
+    disagreement_m: tuple[float, float]  # of passes, before and after
+    variance_factor: float  # of the closures, by the drift that the survey was closed with
+    drift: str  # in words
+    # of positions that are absolute and as good as they are said to be, by their closures: in words; else empty
+    as_good_as_said: str = ""
+
+
+def judge(evidence: Evidence, settings: Settings) -> Verdict:
+    """Return the verdict on a correction by its closures.
+
+    A closure's error counts by its information, so that directions that ground hardly holds hardly count. Sources that
+    follow each other share targets: they count together.
+    """
+    closures = evidence.closures
+    before, after = (np.array([float(r @ r) for r in rows]) for rows in left_out(evidence.navigation, closures))
+    weight = float(information(closures).sum()) or np.nan
+    left = float(np.sqrt(before.sum() / weight)), float(np.sqrt(after.sum() / weight))
+    p = _by_chance(before, after, np.array([closure.tie.source for closure in closures]))
+    applied, why = _decided(evidence, left, p, settings)
+    numbers = (evidence.found, len(closures), *left, p, *evidence.disagreement_m, evidence.variance_factor)
+    return Verdict(applied, why, *numbers, evidence.drift)
+
+
+def _by_chance(before: np.ndarray, after: np.ndarray, source: np.ndarray) -> float:
+    """Return the p-value that leaving out does not gain, by a t test over groups of sources; NaN of fewer than two."""
+    # by logarithms, so that one gross closure does not decide; 1 is the variance of a closure's own error
+    gain = pd.Series(np.log1p(before) - np.log1p(after)).groupby(source // _TOGETHER).mean()
+    if len(gain) < 2 or gain.std() == 0:
+        return float("nan")
+    return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
+
+
+def _decided(evidence: Evidence, left: tuple[float, float], p: float, settings: Settings) -> tuple[bool, str]:
+    """Return whether a correction is applied, and the sentence that says so."""
+    accepted, (before, after) = len(evidence.closures), evidence.disagreement_m
+    overlaps = f"overlapping passes disagree by {after:.3g} m instead of {before:.3g} m"
+    if not evidence.found:
+        return False, "Left as it was: no part of the survey returns to ground that it has mapped before."
+    returns = f"{_count(evidence.found, 'return')} to mapped ground"
+    if not accepted:
+        return False, f"Left as it was: of {returns} none could be used, because the ground there holds no place."
+    if evidence.as_good_as_said:
+        return False, f"Left as it was: by {_count(accepted, 'loop closure')} {evidence.as_good_as_said}."
+    if after > _WORSE * before:
+        return False, f"Left as it was: with the correction {overlaps}, so it would make the map worse."
+    if accepted < _FEW:
+        plain = after < _PLAIN * before
+        said = f"{accepted} of {returns} could be used, and {overlaps}" if before > 0 else f"{accepted} of {returns}"
+        return plain, f"{'Corrected' if plain else 'Left as it was, for lack of closures'}: {said}."
+    shown = left[1] <= (1 - settings.left_out_gain) * left[0] and p <= settings.left_out_p
+    error = f"loop closures that are left out fit to {left[1]:.3g} m instead of {left[0]:.3g} m ({_percent(*left)})"
+    error += f", and {overlaps} ({_percent(before, after)})" if before > 0 else ""
+    return shown, f"Corrected: {error}." if shown else f"Left as it was: no gain is shown; {error}."
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _percent(before: float, after: float) -> str:
+    share = 100 * (after / before - 1) if before > 0 else 0.0
+    return f"{share:+.0f} %"
