@@ -523,7 +523,7 @@ def test_a_full_disk_is_one_sentence_and_no_folder(
     monkeypatch.setattr(Path, "open", open_)
     if name == "soundings.parquet":
         monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", group)
-    with pytest.raises(PointNetKLError, match="No space left on device|requested and|cannot be written") as ended:
+    with pytest.raises(PointNetKLError, match=r"No space left on device|requested and|cannot be written") as ended:
         correction.correct(Inputs([drifted.folder]), tmp_path / "out", Settings())
     assert reached
     assert "\n" not in str(ended.value)

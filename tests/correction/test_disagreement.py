@@ -73,3 +73,13 @@ def test_true_poses_disagree_less_than_drifted_ones():
     toy, line = closable.sail("hills"), np.repeat(np.arange(3), 4)
     true, drifted = (disagreement.measure(toy.clouds, T, line, SPACING_M).rms_m for T in (toy.truth, toy.drifted(0)))
     assert true < 0.8 * drifted
+
+
+def test_where_the_edges_of_cells_fall_hardly_matters():
+    toy, line = closable.sail("hills"), np.repeat(np.arange(3), 4)
+    found = []
+    for shift in ([0, 0], [1, 0], [0, 2], [2, -3], [2.5, 2.5], [0.5, 0.5]):
+        poses = toy.truth.copy()
+        poses[:, :2, 3] += shift
+        found.append(disagreement.measure(toy.clouds, poses, line, SPACING_M).rms_m)
+    assert np.ptp(found) < 0.05 * np.mean(found)

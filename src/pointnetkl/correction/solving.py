@@ -115,7 +115,7 @@ def _navigation(
     kind, first = navigation.kind(source, settings, pings, metadata), pings.iloc[0]
     begins, rates = kind.name == DEAD_RECKONING, kind.rates
     fix = drift.Fix(*(float(first[key]) for key in ("time_s", "x_m", "y_m"))) if begins else None
-    if begins and source.beside:  # else known places could but bend a track whose begin is fixed
+    if begins and (source.fixes or source.reference):  # else known places could but bend a track whose begin is fixed
         rates = dataclasses.replace(rates, start_m=_START_M)
     poses = from_matrices(submap.poses_from_table(pieces.poses))
     return Navigation(times, poses, rates, fix, kind.name == "gnss"), f"{kind.name}: {kind.reason}"

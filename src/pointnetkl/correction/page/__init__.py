@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pointnetkl.correction.page.words import DISAGREEMENT, LEFT_OUT, PARAMETERS, PROBLEMS
 from pointnetkl.correction.result import Corrected
 
+__all__ = ["DISAGREEMENT", "LEFT_OUT", "PARAMETERS", "PROBLEMS", "REPORT", "write"]
+
 REPORT = "report.html"
-# names in `facts` that the page knows: lists of sentences; the parameters as YAML; arrays (k,) of how much two passes
-# differ in the cells that they share, metres
-PROBLEMS, LEFT_OUT, PARAMETERS = "problems", "products left out", "parameters"
-DISAGREEMENT = ("disagreement_before_m", "disagreement_after_m")
 
 
 def write(folder: Path, corrected: Corrected, facts: Mapping[str, Any]) -> None:

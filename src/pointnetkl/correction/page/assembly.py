@@ -11,7 +11,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pointnetkl.correction import page as public
 from pointnetkl.correction.page import charts, maps, numbers, rasters, theme, words
 from pointnetkl.correction.page.rasters import Raster
 from pointnetkl.correction.result import Corrected
@@ -85,9 +84,9 @@ def _text(folder: Path, corrected: Corrected, facts: Mapping[str, Any]) -> dict[
         "residuals": [_residual(row, corrected) for row in numbers.largest_residuals(corrected.closures).itertuples()],
         "moved": corrected.rms_moved_m > 0,
         "times": corrected.kind == SWATHS,
-        "problems": list(facts.get(public.PROBLEMS, ())),
-        "left_out": list(facts.get(public.LEFT_OUT, ())),
-        "parameters": str(facts.get(public.PARAMETERS, "")),
+        "problems": list(facts.get(words.PROBLEMS, ())),
+        "left_out": list(facts.get(words.LEFT_OUT, ())),
+        "parameters": str(facts.get(words.PARAMETERS, "")),
         "products": words.products(folder),
         **_others(corrected, facts),
     }
@@ -95,7 +94,7 @@ def _text(folder: Path, corrected: Corrected, facts: Mapping[str, Any]) -> dict[
 
 def _others(corrected: Corrected, facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the facts that have no place of their own: rows of a table, and lists."""
-    apart = {public.PROBLEMS, public.LEFT_OUT, public.PARAMETERS, *public.DISAGREEMENT}
+    apart = {words.PROBLEMS, words.LEFT_OUT, words.PARAMETERS, *words.DISAGREEMENT}
     said = {"drift assumed": corrected.verdict.drift, **facts}
     rest = {name: value for name, value in said.items() if name not in apart and value not in (None, "", [], ())}
     lists = {name: value for name, value in rest.items() if isinstance(value, list | tuple)}
@@ -122,7 +121,7 @@ def _charts(corrected: Corrected, facts: Mapping[str, Any]) -> dict[str, Picture
     pictures: dict[str, Picture | None] = {"shift": None, "agreement": None}
     if len(corrected.track):
         pictures["shift"] = _chart(lambda theme: charts.shift(corrected, theme), words.shift_alt(corrected))
-    before, after = (facts.get(name) for name in public.DISAGREEMENT)
+    before, after = (facts.get(name) for name in words.DISAGREEMENT)
     cells = None if before is None or after is None else (np.asarray(before, np.float64), np.asarray(after, np.float64))
     after_is = "after" if corrected.verdict.applied else "if corrected"
     if curves := numbers.curves(corrected.closures, cells):

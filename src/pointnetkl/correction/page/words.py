@@ -14,6 +14,11 @@ from pointnetkl.correction.result import Corrected, Verdict
 from pointnetkl.slam.closing.schemas import State
 from pointnetkl.surveys.survey import POINTS, SUBMAPS, SWATHS
 
+# names in `facts` that the page knows: lists of sentences; the parameters as YAML; arrays (k,) of how much two passes
+# differ in the cells that they share, metres
+PROBLEMS, LEFT_OUT, PARAMETERS = "problems", "products left out", "parameters"
+DISAGREEMENT = ("disagreement_before_m", "disagreement_after_m")
+
 STATES = {
     State.ACCEPTED: ("accepted", "It is used."),
     State.UNMATCHED: (

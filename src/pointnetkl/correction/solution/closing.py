@@ -49,7 +49,7 @@ class Problem:
 
 
 def close(problem: Problem, measure_drift: bool) -> tuple[Closed, drift.Settings]:
-    """Return the survey with its loops closed, and the rates of drift that it was closed with.
+    """Return the survey with its loops closed, and the rates of drift that it is to be solved with.
 
     To measure drift is to multiply the rates' sigmas by one factor, if there are enough closures to tell. First until
     residuals at navigation's poses are no larger than they should be (solving.variance_factor, which a few wrong
