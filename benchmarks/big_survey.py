@@ -1,7 +1,7 @@
 """Stages ingest and segment, and command `correct`, on gigabytes: seconds, and the largest process's memory.
 
 The survey is generated: Kongsberg .all files of a lawnmower over rolling ground, 400 beams a ping, half of each file
-datagrams that are passed over, as in real ones. Its positions wander by up to a metre and a half from the truth.
+datagrams that are passed over, as in real ones. Its positions wander by up to four metres from the truth.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import yaml
 ROOT = Path(__file__).parents[1]
 BEGIN_S = 1_600_000_000
 BEAMS, PING_S, SPEED_M_S, SPACING_M, LINE_M = 400, 0.2, 4.0, 60.0, 6000.0
-WANDER_M = 1.5
+WANDER_M = 4.0
 _METRES_PER_DEGREE = 111_320.0
 
 _HEAD = [("length", "<u4"), ("stx", "u1"), ("kind", "S1"), ("model", "<u2"), ("date", "<u4"), ("ms", "<u4")]

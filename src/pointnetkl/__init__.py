@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pointnetkl.estimator import CovarianceEstimator as CovarianceEstimator
     from pointnetkl.estimator import Prediction as Prediction
 
-__version__ = "0.8.0"
+__version__ = "0.9.0"
 __all__ = ["CovarianceEstimator", "Prediction"]
 
 

@@ -109,7 +109,7 @@ def test_fixes_of_other_times_and_without_numbers_are_passed_over(tmp_path: Path
         ("time_s,sigma_m,x_m,y_m\n2017-07-14,1,2,3\n", "column time_s holds a word"),
         ("time_s,sigma_m,x_m,y_m\n1,2,3,four\n", "column y_m holds a word"),
         ("time_s,sigma_m,x_m,y_m\n1,2,3,4\n", "none of its 1 fixes is of the survey's time"),
-        ("time_s,sigma_m,x_m,y_m\n", "none of its 0 fixes is of the survey's time"),
+        ("time_s,sigma_m,x_m,y_m\n", "has no fix below its line of names"),
         ("time_s,sigma_m,lon_deg,lat_deg\n1500000050,1,15,inf\n", "none of its 1 fixes is of the survey's time"),
         ("time_s,sigma_m,lon_deg,lat_deg\n1500000050,1,15,954\n", "a.csv"),
     ],

@@ -106,15 +106,14 @@ def test_a_survey_without_drift_is_left_as_it_was_to_the_last_bit(tmp_path: Path
     np.testing.assert_array_equal(before, after)
 
 
-@pytest.mark.parametrize("name", ["gnss", "usbl", "dead-reckoning"])
-@pytest.mark.parametrize("jitter_m", [0.0, 0.1])
+@pytest.mark.parametrize(("name", "jitter_m"), [("gnss", 0.1), ("usbl", 0.0), ("dead-reckoning", 0.1)])
 def test_navigation_that_is_right_is_left_as_it_was_whatever_it_is(
     tmp_path: Path, name: str, jitter_m: float, quick: None
 ):
-    raw = raw_survey.write(tmp_path / "raw", Plan(jitter_m=jitter_m))
+    raw = raw_survey.write(tmp_path / "raw", Plan(lines=3, jitter_m=jitter_m))
     corrected = correction.correct(Inputs([raw.folder]), tmp_path / "out", Settings(navigation=name))
     if corrected.verdict.applied:
-        assert rms(raw, corrected) < 1.02 * rms(raw, corrected, 0.0)
+        assert rms(raw, corrected) < rms(raw, corrected, 0.0) + 0.05  # by chance, and a twentieth of a spacing
     else:
         assert_left_as_it_was(corrected)
 
@@ -190,11 +189,10 @@ def test_submaps_that_another_program_has_posed_are_corrected(tmp_path: Path):
         assert_left_as_it_was(corrected)
 
 
-@pytest.mark.parametrize("on_earth", [True, False])
-def test_two_heads_are_corrected_like_one(tmp_path: Path, on_earth: bool, quick: None):
+def test_two_heads_are_corrected_like_one(tmp_path: Path, quick: None):
     found = []
     for heads in (1, 2):
-        raw = raw_survey.write(tmp_path / f"raw_{heads}", replace(PLAN, heads=heads, on_earth=on_earth))
+        raw = raw_survey.write(tmp_path / f"raw_{heads}", replace(PLAN, heads=heads, on_earth=True))
         corrected = correction.correct(Inputs([raw.folder]), tmp_path / f"out_{heads}", Settings())
         assert corrected.submaps is not None
         found.append((corrected.verdict.applied, len(corrected.submaps.number), rms(raw, corrected)))
@@ -224,7 +222,7 @@ def fixes(path: Path, raw: Raw, every: int, sigma_m: float, wrong: int | None = 
     return path
 
 
-@pytest.mark.parametrize("name", ["dead-reckoning", "usbl", "gnss"])
+@pytest.mark.parametrize("name", ["dead-reckoning", "gnss"])
 def test_a_fix_moves_the_whole_track_there_and_the_maps_with_it(tmp_path: Path, name: str):
     raw = raw_survey.write(tmp_path / "raw", raw_survey.shifted(APART, 1.0, -0.6))
     source = Inputs([raw.folder], fixes=fixes(tmp_path / "fix.csv", raw, 60, 0.1))
@@ -253,7 +251,7 @@ def test_a_single_fix_far_from_a_sure_track_does_not_pass_in_silence(tmp_path: P
 
 
 @pytest.mark.parametrize("name", ["dead-reckoning", "usbl"])
-@pytest.mark.parametrize("wrong", [None, 0, 5, 11])
+@pytest.mark.parametrize("wrong", [None, 0, 7])
 def test_fixes_hold_a_track_and_one_that_is_10_km_off_does_not_move_it(
     tmp_path: Path, drifted: Raw, name: str, wrong: int | None, quick: None
 ):
@@ -283,8 +281,12 @@ def test_a_reference_takes_out_a_constant_shift_which_closures_cannot_see(tmp_pa
     assert corrected.verdict.applied
     assert rms(raw, corrected) < 0.06 * rms(raw, corrected, 0.0)
     assert (corrected.closures["target"] == -1).sum() >= 10
-    without = correction.correct(Inputs([raw.folder]), tmp_path / "without", Settings(navigation=name))
-    assert rms(raw, without) == pytest.approx(5.0, abs=0.1)
+
+
+def test_without_a_reference_a_constant_shift_stays(tmp_path: Path, quick: None):
+    raw = raw_survey.write(tmp_path / "raw", raw_survey.shifted(Plan(lines=3), 4.0, -3.0))
+    corrected = correction.correct(Inputs([raw.folder]), tmp_path / "out", Settings())
+    assert rms(raw, corrected) == pytest.approx(5.0, abs=0.1)
 
 
 def test_a_reference_takes_out_a_drift_too(tmp_path: Path, drifted: Raw, quick: None):
@@ -344,25 +346,18 @@ def test_files_of_a_folder_may_be_given_one_by_one(tmp_path: Path, quick: None):
 # --- the folder
 
 
-def test_the_same_survey_gives_the_same_bytes(tmp_path: Path, drifted: Raw, whole: tuple[Corrected, Path]):
-    correction.correct(Inputs([drifted.folder]), tmp_path / "out", Settings())
-    assert files(tmp_path / "out") == files(whole[1])
-    assert os.listdir(tmp_path) == ["out"]
-
-
 @pytest.mark.slow
 def test_the_bytes_do_not_depend_on_workers(
     tmp_path: Path, drifted: Raw, whole: tuple[Corrected, Path], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(closing, "_SEVERAL", 2)
     monkeypatch.setattr(closing, "_CHUNK", 4)
-    for workers in ("1", "2"):
-        monkeypatch.setenv("POINTNETKL_WORKERS", workers)
-        correction.correct(Inputs([drifted.folder]), tmp_path / workers, Settings())
-        assert files(tmp_path / workers) == files(whole[1])
+    monkeypatch.setenv("POINTNETKL_WORKERS", "2")
+    correction.correct(Inputs([drifted.folder]), tmp_path / "out", Settings())
+    assert files(tmp_path / "out") == files(whole[1])  # of one worker
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("killed"), OSError(errno.ENOSPC, "No space left")])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
 def test_a_killed_run_ends_in_the_same_bytes_and_does_not_begin_anew(
     tmp_path: Path,
     drifted: Raw,
@@ -376,7 +371,7 @@ def test_a_killed_run_ends_in_the_same_bytes_and_does_not_begin_anew(
 
     write, out = delivery.write, tmp_path / "out"
     monkeypatch.setattr(delivery, "write", killed)
-    with pytest.raises((KeyboardInterrupt, RuntimeError, CorrectionError)):
+    with pytest.raises((KeyboardInterrupt, CorrectionError)):
         correction.correct(Inputs([drifted.folder]), out, Settings())
     assert os.listdir(tmp_path) == [".out.partial"]
     monkeypatch.setattr(delivery, "write", write)
@@ -425,7 +420,7 @@ def killed_run(raw: Raw, out: Path, settings: Settings, monkeypatch: pytest.Monk
             correction.correct(Inputs([raw.folder]), out, settings)
 
 
-@pytest.mark.parametrize("change", ["settings", "held", "file", "touched"])
+@pytest.mark.parametrize("change", ["settings", "held", "touched"])
 def test_with_other_settings_or_files_all_begins_anew(
     tmp_path: Path, change: str, quick: None, monkeypatch: pytest.MonkeyPatch
 ):
@@ -434,8 +429,6 @@ def test_with_other_settings_or_files_all_begins_anew(
     ingested = []
     ingest = inputs.ingest
     monkeypatch.setattr(inputs, "ingest", lambda *rest: (ingested.append(1), ingest(*rest)))
-    if change == "file":
-        raw_survey.write(raw.folder, replace(PLAN, lines=3))
     if change == "touched":
         os.utime(raw.files[0], (1, 1))
     correction.correct(
@@ -494,10 +487,11 @@ def test_what_is_known_beside_it_is_never_replaced(tmp_path: Path, drifted: Raw,
 
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
-WRITTEN = ["pings.parquet", "poses.parquet", "cut.json", "closures.npz", "track.csv", "parameters.yaml", "report.html"]
+LATE = [pytest.param(name, marks=pytest.mark.slow) for name in ("soundings.laz", "track.csv", "report.html")]
+WRITTEN = ["soundings.parquet", "points.f32", "pings.parquet", "cut.json", "closures.npz", *LATE]
 
 
-@pytest.mark.parametrize("name", ["soundings.parquet", "points.f32", "soundings.laz", *WRITTEN])
+@pytest.mark.parametrize("name", WRITTEN)
 def test_a_full_disk_is_one_sentence_and_no_folder(
     tmp_path: Path, drifted: Raw, name: str, monkeypatch: pytest.MonkeyPatch
 ):

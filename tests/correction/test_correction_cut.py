@@ -97,4 +97,6 @@ def test_the_same_survey_is_cut_into_the_same_bytes(tmp_path: Path):
 def test_a_survey_too_short_for_a_submap_is_refused_by_what_the_command_can_change(tmp_path: Path):
     with pytest.raises(SegmentationError, match="shorter than a submap of 1000 m") as ended:
         made(tmp_path, PLAN, Settings(submap_length_m=1000.0))
-    assert "study.surveys" not in str(ended.value)
+    for words in (cut.reason(ended.value), str(ended.value)):
+        assert "1000 m" in words
+    assert "study.surveys" not in cut.reason(ended.value)

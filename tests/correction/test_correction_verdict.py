@@ -11,8 +11,9 @@ from pointnetkl.correction.solution.verdict import Evidence
 from pointnetkl.slam.closing import solving
 from pointnetkl.slam.closing.estimate import Closure, Estimate, Tie
 
-NAVIGATION = raw_survey.navigation(raw_survey.pings(lines=6))
+NAVIGATION = raw_survey.navigation(raw_survey.pings(lines=5))
 START = Estimate(NAVIGATION.poses, NAVIGATION.covariance())
+ROOT = np.linalg.cholesky(START.covariance)
 PER_LINE = 7
 
 
@@ -27,7 +28,7 @@ def closure(source: int, shift: np.ndarray, sigma_m: float = 0.1, rank: int = 2)
 def drifted(seed: int, factor: float, noise_m: float = 0.1) -> list[Closure]:
     """Return the closures of a survey whose drift is so many times what is believed."""
     rng = np.random.default_rng([11, seed])
-    errors = rng.multivariate_normal(np.zeros(len(START.covariance)), START.covariance).reshape(-1, 3)
+    errors = (ROOT @ rng.standard_normal(len(ROOT))).reshape(-1, 3)
     true = START.poses - factor * errors
     ties = [closure(source, np.zeros(2)) for source in range(PER_LINE, len(true) - 1)]
     return [closure(c.tie.source, c.tie.offset(true) + noise_m * rng.standard_normal(2)) for c in ties]
@@ -63,7 +64,7 @@ def test_nothing_left_out_is_nothing():
 
 def test_rms_of_what_is_left_out_is_in_metres():
     shift = np.array([1.0, -2.0])
-    found = judged([closure(source, shift) for source in range(10, 40, 3)])
+    found = judged([closure(source, shift) for source in range(10, 35, 3)])
     assert found.left_out_before_m == pytest.approx(np.linalg.norm(shift) / np.sqrt(2))  # of each of two directions
 
 
@@ -140,5 +141,5 @@ def test_one_gross_closure_proves_nothing():
 
 
 def test_navigation_without_error_is_hardly_ever_corrected():
-    applied = [judged(drifted(seed, 0.0), (1.0, 1.0)).applied for seed in range(100)]
-    assert sum(applied) <= 5
+    applied = [judged(drifted(seed, 0.0), (1.0, 1.0)).applied for seed in range(60)]
+    assert sum(applied) <= 3

@@ -122,7 +122,7 @@ def test_the_variance_of_an_offset_is_that_of_drawn_poses():
 
 def test_one_closure_at_a_time_is_all_of_them_where_steps_are_small():
     navigation, closures = white(POSES), [closure(0, 7, BOTH, (0.05, -0.02)), closure(2, 5, RIDGE, (0.0, 0.03))]
-    estimate = navigation
+    estimate = Estimate(POSES, navigation.covariance.copy())
     for one in closures:
         estimate = solving.updated(estimate, one)
     solved = solving.solve(navigation, closures)
@@ -131,7 +131,7 @@ def test_one_closure_at_a_time_is_all_of_them_where_steps_are_small():
 
 
 def test_hundreds_of_closures_one_at_a_time_leave_a_covariance():
-    estimate = Estimate(POSES, TOY.covariance)
+    estimate = Estimate(POSES, TOY.covariance.copy())
     for number in range(300):
         k, i = number % 4, 5 + number % 3
         estimate = solving.updated(estimate, closure(k, i, 15 * BOTH, (0.0, 0.0), estimate.poses))

@@ -131,4 +131,5 @@ def _stated(params: Path | None) -> dict[str, Any]:
     from pointnetkl.slam.closing import drift
     from pointnetkl.workflow import parameters
 
-    return parameters.read(params, "navigation", dict[str, drift.Settings]) if params else {}
+    has_rates = params is not None and "navigation" in parameters.sections(params)
+    return parameters.read(params, "navigation", dict[str, drift.Settings]) if params and has_rates else {}

@@ -199,7 +199,8 @@ def _judged(solved: Solved, settings: Settings) -> Solution:
     moved = float(np.sqrt(((start.poses - sailed.poses)[:, :2] ** 2).sum(axis=1).mean()))
     if moved > _STILL_M:
         after = measured(to_matrices(start.poses, poses))
-        alone = f"Corrected by what was given alone ({len(solved.anchors)} ties, {moved:.3g} m rms). {verdict.sentence}"
+        given_alone = f"Corrected by what was given alone, by {moved:.3g} m (rms)"
+        alone = f"{given_alone}; of the survey's own closures: {verdict.sentence.split(': ', 1)[-1]}"
         verdict = dataclasses.replace(verdict, applied=True, sentence=alone, disagreement_after_m=after.rms_m)
     return Solution(verdict, dataclasses.replace(solved, held=solved.anchors, estimate=start), (before, after))
 

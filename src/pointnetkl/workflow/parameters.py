@@ -41,6 +41,16 @@ def read(path: Path, section: str, kind: type[T]) -> T:
     return typing.cast(T, _convert(value, kind, f"{path}: {section}"))
 
 
+def sections(path: Path) -> list[str]:
+    """Return the names of a parameter file's sections.
+
+    Raises:
+        SettingsError: the file is missing or no YAML.
+    """
+    content = _load(path)
+    return list(map(str, content)) if isinstance(content, dict) else []
+
+
 def as_metadata(settings: object) -> dict[str, Any]:
     """Return a settings dataclass as plain values, for an artifact's metadata."""
     return dataclasses.asdict(settings)  # type: ignore[call-overload]

@@ -14,6 +14,7 @@ from pointnetkl.slam.closing import drift, gates, solving
 from pointnetkl.slam.closing.estimate import Closure, Estimate, Tie
 from pointnetkl.surveys.se2 import rotate
 
+_LARGEST = 400.0  # factor on the variance of drift, that ties can ask for
 _HELD_M = 0.01  # standard deviation of what is held
 _PLANE, _EARTH = ("x_m", "y_m"), ("lon_deg", "lat_deg")
 
@@ -39,7 +40,7 @@ def trusted(navigation: Navigation, anchors: Sequence[Closure], settings: factor
     Drift counts for as large as most of them say, so that many right ones outweigh it.
     """
     estimate = Estimate(navigation.poses, navigation.covariance())
-    larger = max(1.0, solving.variance_factor(estimate, anchors)) if anchors else 1.0
+    larger = np.clip(solving.variance_factor(estimate, anchors), 1.0, _LARGEST) if anchors else 1.0
     agreed = gates.by_prediction(Estimate(estimate.poses, larger * estimate.covariance), anchors, settings)
     return [anchor for anchor, good in zip(anchors, agreed.tolist(), strict=True) if good]
 

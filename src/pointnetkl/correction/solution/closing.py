@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import tempfile
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -117,7 +117,13 @@ def _close(problem: Problem, rates: drift.Settings) -> Closed:
             problem.anchors,
             problem.reference,
             functools.partial(_over, Path(folder)) if len(problem.clouds) >= _SEVERAL else None,
+            _watched,
         )
+
+
+def _watched(sources: Sequence[int]) -> Iterable[int]:
+    several = len(sources) >= _SEVERAL
+    return compute.progress(sources, "closing loops along the track", len(sources)) if several else sources
 
 
 def _over(folder: Path, ground: Ground, estimate: Estimate) -> list[Found]:

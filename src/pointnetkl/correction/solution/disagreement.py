@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from pointnetkl.slam.graph import footprint
 from pointnetkl.surveys import pose
 
 CELL_SPACINGS = 3.0  # edge of the cells: a pass has some nine points in each
-_FEWEST = 3  # points of a pass in a cell, for a mean
+_FEWEST = 5  # points of a pass in a cell, for a mean
+_OFFSETS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the cells, in their edges: where edges lie is chance
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Cells:
     """The cells that two or more passes share."""
 
     xy: np.ndarray  # (k, 2) their middles, metres in the map frame
-    difference_m: np.ndarray  # (k,) from the shallowest pass's mean depth to the deepest's
+    difference_m: np.ndarray  # (k,) from the shallowest pass's height to the deepest's
 
     @property
     def rms_m(self) -> float:
@@ -27,7 +27,10 @@ class Cells:
 
 
 def measure(clouds: Sequence[np.ndarray], poses: np.ndarray, passes: np.ndarray, spacing_m: float) -> Cells:
-    """Return the cells that passes share.
+    """Return the cells that passes share, on four grids that lie half a cell apart.
+
+    A pass's height in a cell is the mean of its points above the plane through all points there: passes have their
+    points at other places, and on a slope their plain means would differ.
 
     Args:
         clouds: n submaps' points (n_i, 3), in their own frames.
@@ -35,19 +38,54 @@ def measure(clouds: Sequence[np.ndarray], poses: np.ndarray, passes: np.ndarray,
         passes: (n,) the pass that each submap is of.
         spacing_m: of the points.
     """
+    points = np.concatenate([pose.transform(T, cloud) for T, cloud in zip(poses, clouds, strict=True)])
+    of_pass = np.repeat(passes, [len(cloud) for cloud in clouds])
     cell = CELL_SPACINGS * spacing_m
-    means = [_means(clouds, poses, np.flatnonzero(passes == k), cell) for k in np.unique(passes)]
-    table = pd.concat(means)
-    grouped = table.groupby("key", sort=True)["z"].agg(["min", "max", "size"])
-    shared = grouped[grouped["size"] > 1]
-    column, row = footprint.places(shared.index.to_numpy())
+    parts = [_on_grid(points + np.array([dx * cell, dy * cell, 0.0]), of_pass, cell) for dx, dy in _OFFSETS]
+    places = [xy - np.array(offset) * cell for (xy, _), offset in zip(parts, _OFFSETS, strict=True)]
+    return Cells(np.concatenate(places), np.concatenate([difference for _, difference in parts]))
+
+
+def _on_grid(points: np.ndarray, passes: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles (k, 2) of the cells that passes share, and how far these are apart there."""
+    keys, number = np.unique(footprint.keys(points, cell), return_inverse=True)
+    column, row = footprint.places(keys)
     middles = cell * (np.column_stack([column, row]) + 0.5)
-    return Cells(middles, (shared["max"] - shared["min"]).to_numpy())
+    above = _above_plane(points - np.column_stack([middles[number], np.zeros(len(points))]), number, len(keys))
+    order = np.lexsort((passes, number))
+    number, above = number[order], above[order]
+    begins = np.flatnonzero(np.diff(number, prepend=-1) | np.diff(passes[order], prepend=passes.min() - 1))
+    size = np.diff(begins, append=len(number))
+    height = np.add.reduceat(above, begins) / size
+    enough = size >= _FEWEST
+    return _spread(middles, number[begins][enough], height[enough])
 
 
-def _means(clouds: Sequence[np.ndarray], poses: np.ndarray, submaps: np.ndarray, cell: float) -> pd.DataFrame:
-    """Return the mean height of a pass in each of its cells with enough points."""
-    points = np.concatenate([pose.transform(poses[k], clouds[k]) for k in submaps.tolist()])
-    sums = pd.DataFrame({"key": footprint.keys(points, cell), "z": points[:, 2]}).groupby("key")["z"]
-    table = sums.agg(["mean", "size"]).reset_index()
-    return table[table["size"] >= _FEWEST].rename(columns={"mean": "z"})[["key", "z"]]
+def _above_plane(local: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
+    """Return how far (n,) points, (n, 3) from the middle of their cells, lie above the plane through all in a cell."""
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(number, values, count)
+
+    x, y, z = local.T
+    n = total(np.ones(len(x)))
+    mean = {name: total(values) / n for name, values in (("x", x), ("y", y), ("z", z))}
+    x, y, z = x - mean["x"][number], y - mean["y"][number], z - mean["z"][number]
+    xx, xy, yy = total(x * x), total(x * y), total(y * y)
+    xz, yz = total(x * z), total(y * z)
+    determinant = xx * yy - xy**2
+    spread = determinant > 1e-3 * (xx * yy) + 1e-12  # points in a row have no plane
+    safe = np.where(spread, determinant, 1.0)
+    slope_x = np.where(spread, (yy * xz - xy * yz) / safe, 0.0)
+    slope_y = np.where(spread, (xx * yz - xy * xz) / safe, 0.0)
+    return np.asarray(z - slope_x[number] * x - slope_y[number] * y)
+
+
+def _spread(middles: np.ndarray, number: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cells of which there are two heights or more, and the range of those; rows are in order of cells."""
+    if not len(number):
+        return np.empty((0, 2)), np.empty(0)
+    begins = np.flatnonzero(np.diff(number, prepend=-1))
+    several = np.diff(begins, append=len(number)) > 1
+    apart = np.maximum.reduceat(height, begins) - np.minimum.reduceat(height, begins)
+    return middles[number[begins[several]]], apart[several]

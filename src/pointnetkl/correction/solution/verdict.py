@@ -11,7 +11,8 @@ from pointnetkl.correction.result import Verdict
 from pointnetkl.correction.settings import Settings
 from pointnetkl.slam.closing.estimate import Closure, Estimate, linearised
 
-_WORSE = 1.02  # of the overlaps' disagreement after to that before: more is harm
+_WORSE = 1.05  # of the overlaps' disagreement after to that before: more is harm
+_AGREE = 1.5  # sigmas of their own, rms, that closures are off navigation: less is no contradiction
 _FEW = 5  # closures with fewer of which leaving out says little
 _TOGETHER = 3  # sources that follow each other
 _PLAIN = 0.8  # of the overlaps' disagreement that is left, which settles it where closures are few
@@ -62,7 +63,8 @@ def judge(evidence: Evidence, settings: Settings) -> Verdict:
     weight = float(information(closures).sum()) or np.nan
     left = float(np.sqrt(before.sum() / weight)), float(np.sqrt(after.sum() / weight))
     p = _by_chance(before, after, np.array([closure.tie.source for closure in closures]))
-    applied, why = _decided(evidence, left, p, settings)
+    sigmas = float(np.sqrt(before.sum() / max(sum(closure.rank for closure in closures), 1)))
+    applied, why = _decided(evidence, left, p, sigmas, settings)
     numbers = (evidence.found, len(closures), *left, p, *evidence.disagreement_m, evidence.variance_factor)
     return Verdict(applied, why, *numbers, evidence.drift)
 
@@ -76,8 +78,10 @@ def _by_chance(before: np.ndarray, after: np.ndarray, source: np.ndarray) -> flo
     return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
 
 
-def _decided(evidence: Evidence, left: tuple[float, float], p: float, settings: Settings) -> tuple[bool, str]:
-    """Return whether a correction is applied, and the sentence that says so."""
+def _decided(
+    evidence: Evidence, left: tuple[float, float], p: float, sigmas: float, settings: Settings
+) -> tuple[bool, str]:
+    """Return whether a correction is applied, and the sentence that says so; `sigmas` closures are off navigation."""
     accepted, (before, after) = len(evidence.closures), evidence.disagreement_m
     overlaps = f"overlapping passes disagree by {after:.3g} m instead of {before:.3g} m"
     if not evidence.found:
@@ -87,6 +91,9 @@ def _decided(evidence: Evidence, left: tuple[float, float], p: float, settings: 
         return False, f"Left as it was: of {returns} none could be used, because the ground there holds no place."
     if evidence.as_good_as_said:
         return False, f"Left as it was: by {_count(accepted, 'loop closure')} {evidence.as_good_as_said}."
+    if sigmas < _AGREE:
+        agree = f"{_count(accepted, 'loop closure')} agree with navigation, to {left[0]:.2g} m"
+        return False, f"Left as it was: {agree}, which is {sigmas:.1f} sigma of their own."
     if after > _WORSE * before:
         return False, f"Left as it was: with the correction {overlaps}, so it would make the map worse."
     if accepted < _FEW:

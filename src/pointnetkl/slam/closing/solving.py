@@ -69,7 +69,10 @@ def variance_factor(navigation: Estimate, closures: Sequence[Closure]) -> float:
 
 
 def updated(estimate: Estimate, closure: Closure) -> Estimate:
-    """Return an estimate with one more closure, at its linearisation: for the next one's start, `solve` settles it."""
+    """Return an estimate with one more closure, at its linearisation: for the next one's start, `solve` settles it.
+
+    The covariance is changed in place, because a copy for every closure of a long survey would take most of the time.
+    """
     columns, J = closure.tie.jacobian(estimate.poses)
     slopes = closure.A @ J
     CJ = estimate.covariance[:, columns] @ slopes.T
@@ -77,7 +80,9 @@ def updated(estimate: Estimate, closure: Closure) -> Estimate:
     # a square is symmetric to the last digit; from C - gain J C asymmetry would grow threefold with every closure
     half = linalg.solve_triangular(L, CJ.T, lower=True)
     step = half.T @ linalg.solve_triangular(L, closure.residual(estimate.poses), lower=True)
-    return Estimate(estimate.poses - step.reshape(-1, 3), estimate.covariance - half.T @ half)
+    # BLAS has columns first: the transpose of a symmetric matrix is itself, and is not copied
+    square = linalg.blas.dgemm(-1.0, half, half, 1.0, estimate.covariance.T, trans_a=True, overwrite_c=True)
+    return Estimate(estimate.poses - step.reshape(-1, 3), square.T)
 
 
 def graduated(

@@ -1,7 +1,7 @@
 """A survey closed from its own navigation: closures searched, judged and solved, until nothing changes."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +17,7 @@ from pointnetkl.surveys.se2 import rotate
 from pointnetkl.workflow.parameters import require_positive
 
 Over = Callable[[Ground, Estimate], "list[Found]"]
+Watched = Callable[[Sequence[int]], Iterable[int]]
 
 _FEWEST = 5  # closures whose residuals have a median worth the name
 
@@ -87,6 +88,7 @@ def close(
     anchors: Sequence[Closure] = (),
     reference: search.Reference | None = None,
     over: "Over | None" = None,
+    watched: "Watched" = iter,
 ) -> Closed:
     """Return a survey whose loops are closed, from its navigation as it is.
 
@@ -100,13 +102,14 @@ def close(
         anchors: ties to the map that are known beforehand, such as fixes of position; they correct navigation first.
         reference: a known seabed, on which submaps are registered too.
         over: how the submaps of a round, which do not wait for each other, are registered; None: one after the other.
+        watched: yields the submaps of the first round, which do wait; for a progress bar.
 
     Raises:
         ClosingError: poses, clouds and covariance are not of one survey, or the poses have no solution.
     """
     ground = Ground(clouds, navigation, spacing_m, registration, settings.search, reference)
     start = solving.solve(Estimate(from_matrices(navigation), covariance), anchors)
-    found, estimate = judge(start, _along_the_track(ground, start), settings)
+    found, estimate = judge(start, _along_the_track(ground, start, watched), settings)
     rounds = 1
     while rounds < settings.rounds:
         last = estimate
@@ -172,11 +175,11 @@ def _refuse(found: Sequence[Found], passed: np.ndarray, state: State) -> list[Fo
     return [f if f.state != State.ACCEPTED or next(verdicts) else dataclasses.replace(f, state=state) for f in found]
 
 
-def _along_the_track(ground: Ground, navigation: Estimate) -> list[Found]:
+def _along_the_track(ground: Ground, navigation: Estimate, watched: "Watched") -> list[Found]:
     """Return the closures of each submap in turn, registered from the poses that those before it have corrected."""
     found: list[Found] = []
-    estimate = navigation
-    for source in range(len(navigation.poses)):
+    estimate = Estimate(navigation.poses, navigation.covariance.copy())  # for `updated`
+    for source in watched(range(len(navigation.poses))):
         closures = _found(ground, estimate, source, search.Posed(ground, estimate))
         found += closures
         for f in closures:
