@@ -50,7 +50,7 @@ def assert_same(one: Closed, other: Closed) -> None:
     ]
 
 
-@pytest.mark.parametrize("chunk", [1, 5, 100])
+@pytest.mark.parametrize("chunk", [1, 5])
 def test_the_result_does_not_depend_on_chunks(tmp_path: Path, hills: Toy, chunk: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("POINTNETKL_WORKERS", "1")
     asked = problem(tmp_path, hills, hills.drifted(0), closable.DRIFT, known(tmp_path, hills))
@@ -89,7 +89,7 @@ def test_rates_that_are_given_stay(tmp_path: Path, hills: Toy):
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_measured_drift_comes_near_the_true_one(tmp_path: Path, hills: Toy, factor: float):
     scales = []
-    for seed in range(3):
+    for seed in range(2):
         asked = problem(tmp_path, hills, hills.drifted(seed), closable.DRIFT.times(factor))
         _, rates = closing.close(asked, measure_drift=True)
         scales.append(rates.scale_error / closable.DRIFT.scale_error)

@@ -86,7 +86,7 @@ def test_a_drift_is_corrected(seed: int):
 def test_closures_that_only_confirm_navigation_correct_nothing(seed: int):
     found = judged(drifted(seed, 0.0), (1.0, 0.99))
     assert not found.applied
-    assert found.sentence.startswith("Left as it was: no gain is shown")
+    assert "agree with navigation" in found.sentence
 
 
 def test_no_sentence_has_a_number_that_is_none():
@@ -101,7 +101,7 @@ def test_no_sentence_has_a_number_that_is_none():
 
 
 def test_a_correction_that_makes_overlaps_worse_is_not_applied():
-    found = judged(drifted(0, 2.0), (0.5, 0.52))
+    found = judged(drifted(0, 2.0), (0.5, 0.54))
     assert not found.applied
     assert "it would make the map worse" in found.sentence
 

@@ -26,7 +26,7 @@ def test_two_passes_differ_by_the_step_between_them():
     cells = disagreement.measure([carpet(-40.0), carpet(-40.3, 1)], at((0, 0), (0, 0)), np.array([0, 1]), SPACING_M)
     assert cells.difference_m == pytest.approx(np.full(len(cells.xy), 0.3))
     assert cells.rms_m == pytest.approx(0.3)
-    assert len(cells.xy) == pytest.approx(100, abs=10)  # cells of 6 m
+    assert len(cells.xy) == pytest.approx(400, abs=60)  # of 6 m, on four grids
     assert np.abs(cells.xy).max() < 33
 
 
@@ -39,7 +39,7 @@ def test_only_ground_that_both_have_counts():
 def test_of_three_passes_the_shallowest_and_the_deepest_count():
     clouds = [carpet(-40.0), carpet(-40.2, 1), carpet(-40.5, 2)]
     cells = disagreement.measure(clouds, at(*3 * [(0, 0)]), np.array([4, 7, 5]), SPACING_M)
-    assert cells.rms_m == pytest.approx(0.5)
+    assert cells.rms_m == pytest.approx(0.5, rel=0.03)
 
 
 def test_a_pass_does_not_disagree_with_itself():

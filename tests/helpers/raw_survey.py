@@ -42,8 +42,8 @@ class Plan:
     lines: int = 4
     line_m: float = 360.0
     apart_m: float = 40.0
-    step_m: float = 2.0  # from ping to ping
-    beams: int = 48
+    step_m: float = 2.5  # from ping to ping
+    beams: int = 36
     swath_m: float = 80.0
     noise_m: float = 0.05  # of soundings
     seabed: Seabed = hills

@@ -29,8 +29,8 @@ class Cells:
 def measure(clouds: Sequence[np.ndarray], poses: np.ndarray, passes: np.ndarray, spacing_m: float) -> Cells:
     """Return the cells that passes share, on four grids that lie half a cell apart.
 
-    A pass's height in a cell is the mean of its points above the plane through all points there: passes have their
-    points at other places, and on a slope their plain means would differ.
+    A pass's height is that at the middle of the cell: the mean of its points, carried there along the slope that the
+    passes have in common. Passes have their points at other places, and on a slope their plain means would differ.
 
     Args:
         clouds: n submaps' points (n_i, 3), in their own frames.
@@ -51,34 +51,30 @@ def _on_grid(points: np.ndarray, passes: np.ndarray, cell: float) -> tuple[np.nd
     keys, number = np.unique(footprint.keys(points, cell), return_inverse=True)
     column, row = footprint.places(keys)
     middles = cell * (np.column_stack([column, row]) + 0.5)
-    above = _above_plane(points - np.column_stack([middles[number], np.zeros(len(points))]), number, len(keys))
     order = np.lexsort((passes, number))
-    number, above = number[order], above[order]
+    number, local = number[order], points[order]
+    local[:, :2] -= middles[number]
     begins = np.flatnonzero(np.diff(number, prepend=-1) | np.diff(passes[order], prepend=passes.min() - 1))
     size = np.diff(begins, append=len(number))
-    height = np.add.reduceat(above, begins) / size
+    means = np.add.reduceat(local, begins) / size[:, None]
+    slope = _slopes(local - np.repeat(means, size, axis=0), number, len(keys))
+    height = means[:, 2] - (slope[number[begins]] * means[:, :2]).sum(axis=1)
     enough = size >= _FEWEST
     return _spread(middles, number[begins][enough], height[enough])
 
 
-def _above_plane(local: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
-    """Return how far (n,) points, (n, 3) from the middle of their cells, lie above the plane through all in a cell."""
+def _slopes(deviations: np.ndarray, number: np.ndarray, count: int) -> np.ndarray:
+    """Return the slope (count, 2) in each cell from the deviations (n, 3) of points from their pass's mean there."""
 
     def total(values: np.ndarray) -> np.ndarray:
         return np.bincount(number, values, count)
 
-    x, y, z = local.T
-    n = total(np.ones(len(x)))
-    mean = {name: total(values) / n for name, values in (("x", x), ("y", y), ("z", z))}
-    x, y, z = x - mean["x"][number], y - mean["y"][number], z - mean["z"][number]
-    xx, xy, yy = total(x * x), total(x * y), total(y * y)
-    xz, yz = total(x * z), total(y * z)
+    x, y, z = deviations.T
+    xx, xy, yy, xz, yz = total(x * x), total(x * y), total(y * y), total(x * z), total(y * z)
     determinant = xx * yy - xy**2
-    spread = determinant > 1e-3 * (xx * yy) + 1e-12  # points in a row have no plane
-    safe = np.where(spread, determinant, 1.0)
-    slope_x = np.where(spread, (yy * xz - xy * yz) / safe, 0.0)
-    slope_y = np.where(spread, (xx * yz - xy * xz) / safe, 0.0)
-    return np.asarray(z - slope_x[number] * x - slope_y[number] * y)
+    spread = determinant > 1e-3 * (xx * yy) + 1e-12  # points in a row have no slope across it
+    slope = np.column_stack([yy * xz - xy * yz, xx * yz - xy * xz]) / np.where(spread, determinant, 1.0)[:, None]
+    return np.where(spread[:, None], slope, 0.0)
 
 
 def _spread(middles: np.ndarray, number: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
