@@ -86,7 +86,7 @@ def test_cells_without_a_depth_are_no_points(tmp_path: Path, grid: Path):
 
 
 def test_only_what_is_near_the_survey_is_kept(tmp_path: Path):
-    wide = raw_survey.grid(tmp_path / "wide.tif", replace(PLAN, line_m=3000.0), margin_m=500.0)
+    wide = raw_survey.grid(tmp_path / "wide.tif", replace(PLAN, line_m=3000.0), cell_m=8.0, margin_m=500.0)
     points = everywhere(stored(tmp_path, wide))
     assert points[:, :2].min() > -110
     assert points[:, 0].max() < 410

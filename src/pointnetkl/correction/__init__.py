@@ -38,6 +38,7 @@ def correct(source: Inputs, out: Path, settings: Settings, replace: bool = False
         PointNetKLError: the survey cannot be read or closed.
     """
     inputs.check(source, out)
+    solving.check(source, settings)
     if out.exists() and not replace and (not out.is_dir() or any(out.iterdir())):
         raise CorrectionError(f"{out}: is there already; give --replace to have it replaced, or another folder")
     scratch = Scratch(out, source.key(settings))
@@ -50,7 +51,7 @@ def correct(source: Inputs, out: Path, settings: Settings, replace: bool = False
 def _corrected(scratch: Scratch, source: Inputs, out: Path, settings: Settings) -> Corrected:
     name = source.sources[0].stem or source.sources[0].resolve().name
     tables = source.ingested or scratch.step("survey", lambda folder: inputs.ingest(source, name, settings, folder))
-    metadata = artifacts.table_metadata(tables / "pings.parquet")
+    metadata = inputs.metadata(tables)
     pings = artifacts.read_table(tables / "pings.parquet", survey.PINGS)
     solution = solving.solve(source, name, tables, pings, scratch, settings)
     corrected = _result(name, metadata, pings, solution)

@@ -1,6 +1,7 @@
 """A survey cut, closed and judged: from its tables to what its track is corrected by."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from pointnetkl.correction import settings as rates_of
-from pointnetkl.correction.preparation import cut, navigation, reference
+from pointnetkl.correction.preparation import cut, inputs, navigation, reference
 from pointnetkl.correction.preparation.cut import Cut
 from pointnetkl.correction.preparation.inputs import Inputs
+from pointnetkl.correction.products import ties
 from pointnetkl.correction.result import CorrectionError, Verdict
 from pointnetkl.correction.scratch import Scratch
 from pointnetkl.correction.settings import DEAD_RECKONING, Settings
@@ -24,13 +26,21 @@ from pointnetkl.segmentation import SegmentationError
 from pointnetkl.slam.closing import drift, survey
 from pointnetkl.slam.closing import solving as least_squares
 from pointnetkl.slam.closing.estimate import Closure, Estimate, from_matrices, to_matrices
+from pointnetkl.slam.closing.schemas import State
 from pointnetkl.slam.closing.survey import Closed
 from pointnetkl.surveys import submap
 from pointnetkl.surveys import survey as surveys
-from pointnetkl.workflow import artifacts
 
 _STILL_M = 1e-3  # a track that has moved by less has not moved
 _START_M = 10.0  # standard deviation of where dead reckoning begins, if places are known that can tell
+
+_REASONS = {
+    State.FLAT: "on ground too flat to tell a place",
+    State.UNMATCHED: "without enough matches",
+    State.RESIDUALS: "whose points do not fit",
+    State.PREDICTION: "that contradict navigation and the others",
+    State.OUTVOTED: "outvoted by the others",
+}
 
 Metadata = Mapping[str, Any]  # of the survey's tables
 
@@ -65,6 +75,19 @@ def nothing(sentence: str) -> Solution:
     return Solution(Verdict(False, sentence, 0, 0, nan, nan, nan, nan, nan, nan, ""))
 
 
+def check(source: Inputs, settings: Settings) -> None:
+    """Refuse rates of drift, fixes and ties that cannot be, before hours are spent on the rest.
+
+    Raises:
+        CorrectionError, DriftError, TieError: they cannot be.
+    """
+    rates_of.rates(settings, source.rates)
+    if source.fixes is not None:
+        belief.read_fixes(source.fixes)
+    if source.ties is not None:
+        ties.read(source.ties)
+
+
 def solve(
     source: Inputs, name: str, tables: Path, pings: pd.DataFrame, scratch: Scratch, settings: Settings
 ) -> Solution:
@@ -74,7 +97,7 @@ def solve(
         CorrectionError: what is given beside it does not fit it.
         ClosingError: the poses have no solution.
     """
-    metadata = artifacts.table_metadata(tables / "pings.parquet")
+    metadata = inputs.metadata(tables)
     if (kind := metadata["kind"]) == surveys.POINTS:
         return nothing("Left as it was: points without pings have no track to correct.")
     try:
@@ -189,6 +212,7 @@ def _judged(solved: Solved, settings: Settings) -> Solution:
         (before.rms_m, after.rms_m),
         closed.variance_factor,
         rates_of.words(solved.rates),
+        _refused(closed),
         _as_good_as_said(sailed, closed),
     )
     verdict = verdicts.judge(evidence, settings)
@@ -205,12 +229,18 @@ def _judged(solved: Solved, settings: Settings) -> Solution:
     return Solution(verdict, dataclasses.replace(solved, held=solved.anchors, estimate=start), (before, after))
 
 
+def _refused(closed: Closed) -> str:
+    """Return in words how many closures were not accepted, by reason."""
+    counts = Counter(_REASONS[f.state] for f in closed.found if f.state != State.ACCEPTED)
+    return ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
+
+
 def _as_good_as_said(sailed: Navigation, closed: Closed) -> str:
     """Return in words that positions of a satellite receiver are as good as they are said to be; empty if not."""
     if not sailed.exact or not closed.accepted:
         return ""
     said = Estimate(sailed.poses, sailed.covariance())
-    if least_squares.variance_factor(said, closed.accepted) > closing.LARGE:
+    if closing.excess(said, closed.accepted) > 1:
         return ""
     return (
         f"positions are as good as they are said to be ({sailed.rates.position_walk_m:.2g} m); say"

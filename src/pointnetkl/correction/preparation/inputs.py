@@ -100,3 +100,15 @@ def ingest(inputs: Inputs, name: str, settings: Settings, folder: Path) -> None:
         }
     artifacts.write_table(folder / _TABLES[0], raw.pings, survey.PINGS, soundings.metadata)
     print(f"{name}: {survey.summary(raw)}")
+
+
+def metadata(tables: Path) -> dict[str, Any]:
+    """Return what is stored with an ingested survey: kind, crs, origin and report.
+
+    Raises:
+        CorrectionError: it is not stored there.
+    """
+    stored = artifacts.table_metadata(tables / _TABLES[0])
+    if missing := [key for key in ("kind", "crs", "origin") if key not in stored]:
+        raise CorrectionError(f"{tables / _TABLES[0]}: does not say its {missing[0]}; make it by stage ingest")
+    return stored

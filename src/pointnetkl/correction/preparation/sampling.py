@@ -11,6 +11,7 @@ _POINTS = 4000.0  # of a submap: enough to register a third of it, few enough to
 _FEWEST = 1500.0  # where soundings are so sparse that a swath's width of them has fewer
 _OF_LINE = 0.2  # of the longest line, that a submap has at most
 _LEAST_BEAMS = 8
+_USUAL = 0.75  # quantile of steps: of two kinds in turn the longer one
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ def choose(pings: pd.DataFrame, soundings: Iterable[pd.DataFrame], longest_m: fl
 
 
 def _step(pings: pd.DataFrame) -> float:
-    """Return the usual step between pings that move, metres."""
+    """Return the usual step between pings that move, metres; of pings in pairs, that from pair to pair."""
     steps = np.hypot(*np.diff(pings[["x_m", "y_m"]].to_numpy(np.float64), axis=0).T)
     moving = steps[steps > 1e-3]
-    return float(np.median(moving)) if len(moving) else 1.0
+    return float(np.quantile(moving, _USUAL)) if len(moving) else 1.0
 
 
 def _swaths(times: pd.Series, soundings: Iterable[pd.DataFrame]) -> tuple[np.ndarray, np.ndarray]:

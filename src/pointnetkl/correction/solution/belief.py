@@ -72,7 +72,7 @@ def fixes(
     Raises:
         CorrectionError: the file cannot be read, lacks a column, or no fix is of the survey's time.
     """
-    table = _read(path)
+    table = read_fixes(path)
     places = _places(path, table, crs) - np.array(origin)
     time, sigma = table["time_s"].to_numpy(np.float64), table["sigma_m"].to_numpy(np.float64)
     at = pings["time_s"].to_numpy()
@@ -98,7 +98,12 @@ def _tie(navigation: Navigation, k: int, arm: np.ndarray, offset: np.ndarray, si
     return Closure(tie, precision, precision @ offset, sigma_m**2, offset)
 
 
-def _read(path: Path) -> pd.DataFrame:
+def read_fixes(path: Path) -> pd.DataFrame:
+    """Return a table of fixes with its columns in lower case.
+
+    Raises:
+        CorrectionError: it cannot be read, or lacks a column.
+    """
     try:
         table = pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from scipy import stats
 
 from pointnetkl.correction.preparation.cut import Clouds
 from pointnetkl.correction.solution.belief import Navigation
@@ -24,7 +25,7 @@ from pointnetkl.workflow import compute
 _CHUNK = 16  # submaps of a task
 _SEVERAL = 64  # submaps below which other processes are not worth their start
 _ENOUGH = 4  # closures that drift can be measured by
-LARGE = 2.0  # a variance factor that is more than one for all that can be told
+_LARGE, _LARGE_ALONE = 2.0, 4.0  # variance factors that are more than one for all that can be told
 _SCALES = (0.05, 20.0)  # of the sigmas of drift
 _EXPECTED = 3.0  # by so much the rates of a preset may be off
 _TRIALS = 3
@@ -52,8 +53,8 @@ def close(problem: Problem, measure_drift: bool) -> tuple[Closed, drift.Settings
     """Return the survey with its loops closed, and the rates of drift that it is to be solved with.
 
     To measure drift is to multiply the rates' sigmas by one factor, if there are enough closures to tell. First until
-    residuals at navigation's poses are no larger than they should be (solving.variance_factor, which a few wrong
-    closures do not move), then by what is likely (likely_scale).
+    residuals at navigation's poses are no larger than they should be (excess, which a few wrong closures do not
+    move), then by what is likely (likely_scale).
 
     Raises:
         ClosingError: the poses have no solution.
@@ -62,8 +63,8 @@ def close(problem: Problem, measure_drift: bool) -> tuple[Closed, drift.Settings
     closed = _close(problem, rates)
     for _ in range(_TRIALS if measure_drift else 0):
         fit = [f.closure for f in closed.found if f.closure is not None and f.state in _FIT]
-        factor = solving.variance_factor(_believed(problem, rates), [*problem.anchors, *fit])
-        if len(fit) < _ENOUGH or not factor > LARGE:
+        factor = excess(_believed(problem, rates), [*problem.anchors, *fit])
+        if len(fit) < _ENOUGH or factor <= 1:
             break
         rates = _times(rates, float(np.sqrt(factor)))
         print(f"drift is {np.sqrt(factor):.2g} times what was assumed, by {len(fit)} closures: once more with that")
@@ -74,6 +75,26 @@ def close(problem: Problem, measure_drift: bool) -> tuple[Closed, drift.Settings
         print(f"drift is most likely {scale:.2g} times that, by {len(closed.accepted)} closures")
         rates = _times(rates, scale)
     return closed, rates
+
+
+def excess(navigation: Estimate, closures: Sequence[Closure]) -> float:
+    """Return by how much the variance of navigation's drift is too small, if closures contradict it; else 1.
+
+    Whitened residuals (solving.variance_factor) see drift that changes faster than it should, and not one that is
+    smooth and large: each closure alone, by the variance of its own offset, sees that. As closures share few causes,
+    their median is less sure.
+    """
+    if not closures:
+        return 1.0
+    whitened = solving.variance_factor(navigation, closures)
+    ratios = [_square(navigation, closure) / stats.chi2.median(closure.rank) for closure in closures if closure.rank]
+    alone = float(np.median(ratios)) if ratios else 1.0
+    return max(1.0, whitened if whitened > _LARGE else 0.0, alone if alone > _LARGE_ALONE else 0.0)
+
+
+def _square(navigation: Estimate, closure: Closure) -> float:
+    r = closure.residual(navigation.poses)
+    return float(r @ np.linalg.solve(closure.A @ closure.tie.variance(navigation) @ closure.A.T + np.eye(len(r)), r))
 
 
 def likely_scale(navigation: Estimate, closures: Sequence[Closure]) -> float:

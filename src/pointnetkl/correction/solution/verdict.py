@@ -48,6 +48,7 @@ class Evidence:
     disagreement_m: tuple[float, float]  # of passes, before and after
     variance_factor: float  # of the closures, by the drift that the survey was closed with
     drift: str  # in words
+    refused: str = ""  # closures, by reason, in words
     # of positions that are absolute and as good as they are said to be, by their closures: in words; else empty
     as_good_as_said: str = ""
 
@@ -88,7 +89,7 @@ def _decided(
         return False, "Left as it was: no part of the survey returns to ground that it has mapped before."
     returns = f"{_count(evidence.found, 'return')} to mapped ground"
     if not accepted:
-        return False, f"Left as it was: of {returns} none could be used, because the ground there holds no place."
+        return False, f"Left as it was: of {returns} none could be used ({evidence.refused})."
     if evidence.as_good_as_said:
         return False, f"Left as it was: by {_count(accepted, 'loop closure')} {evidence.as_good_as_said}."
     if sigmas < _AGREE:
