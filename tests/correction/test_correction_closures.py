@@ -156,7 +156,7 @@ def test_the_target_is_the_one_with_most_of_the_overlap(hills: Toy, closed: Clos
 
 def test_left_out_is_in_metres(hills: Toy, closed: Closed):
     table = closures.table(closed, closed.estimate.poses, hills.time_s, closable.SPACING_M)
-    _, left = verdict.left_out(closed.navigation, closed.accepted)
+    left = [one.after for one in verdict.left_out(closed.navigation, closed.accepted)]
     metres = table.loc[table["state"] == "accepted", "left_out_m"].tolist()
     for number, closure, residual in zip(metres, closed.accepted, left, strict=True):
         if closure.rank == 2:

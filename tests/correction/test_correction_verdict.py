@@ -44,22 +44,26 @@ def judged(
 def test_what_is_left_out_is_predicted_as_by_a_solution_without_it():
     closures = drifted(0, 1.0)
     closures[3] = closure(closures[3].tie.source, np.array([0.5, 0.2]), rank=1)
-    before, after = verdict.left_out(START, closures)
-    for k, own in enumerate(closures):
+    left = verdict.left_out(START, closures)
+    for k, (own, one) in enumerate(zip(closures, left, strict=True)):
         others = solving.solve(START, [*closures[:k], *closures[k + 1 :]])
-        assert before[k] == pytest.approx(own.residual(START.poses))
-        assert after[k] == pytest.approx(own.residual(others.poses), abs=0.15, rel=0.02)  # of unit variance, curved
+        assert one.before == pytest.approx(own.residual(START.poses))
+        assert one.after == pytest.approx(own.residual(others.poses), abs=0.15, rel=0.02)  # of unit variance, curved
+        unsure = own.A @ own.tie.variance(others) @ own.A.T + np.eye(own.rank)
+        assert one.variance_after == pytest.approx(unsure, abs=0.05, rel=0.05)
+        assert np.linalg.eigvalsh(one.variance_before - one.variance_after)[0] > -1e-9
 
 
 def test_a_closure_alone_is_predicted_by_navigation():
     alone = closure(20, np.array([1.0, -2.0]))
-    ((before,), (after,)) = verdict.left_out(START, [alone])
-    assert after == pytest.approx(before)
-    assert before == pytest.approx([-10.0, 20.0])
+    (one,) = verdict.left_out(START, [alone])
+    assert one.after == pytest.approx(one.before)
+    assert one.before == pytest.approx([-10.0, 20.0])
+    assert one.gain == pytest.approx(0.0, abs=1e-9)
 
 
 def test_nothing_left_out_is_nothing():
-    assert verdict.left_out(START, []) == ([], [])
+    assert verdict.left_out(START, []) == []
 
 
 def test_rms_of_what_is_left_out_is_in_metres():

@@ -27,8 +27,8 @@ def table(
     Where they are not applied their weights are 0.
     """
     accepted = [f for f in closed.found if f.state == State.ACCEPTED]
-    _, left = verdict.left_out(closed.navigation, closed.accepted)
-    left_out = {id(f): r for f, r in zip(accepted, left, strict=True)}
+    left = verdict.left_out(closed.navigation, closed.accepted)
+    left_out = {id(f): one.after for f, one in zip(accepted, left, strict=True)}
     rows = [_row(f, closed, poses, time_s, spacing_m, left_out.get(id(f))) for f in closed.found]
     table = pd.DataFrame(rows, columns=CLOSURES.names)
     table["weight"] *= float(applied)

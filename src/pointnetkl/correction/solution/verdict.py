@@ -14,23 +14,46 @@ from pointnetkl.slam.closing.estimate import Closure, Estimate, linearised
 _WORSE = 1.05  # of the overlaps' disagreement after to that before: more is harm
 _AGREE = 1.5  # sigmas of their own, rms, that closures are off navigation: less is no contradiction
 _FEW = 5  # closures with fewer of which leaving out says little
+_MOST_NATS = 5.0  # that a closure counts
 _TOGETHER = 3  # sources that follow each other
 _PLAIN = 0.8  # of the overlaps' disagreement that is left, which settles it where closures are few
 
 
-def left_out(navigation: Estimate, closures: Sequence[Closure]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return each closure's whitened residual (rank,) at navigation's poses, and where all others predict it.
+@dataclass(frozen=True)
+class LeftOut:
+    """A closure at navigation's poses, and where all others predict it: residuals (rank,), whitened by its own V."""
+
+    before: np.ndarray
+    after: np.ndarray
+    variance_before: np.ndarray  # (rank, rank) of that residual, by the drift of navigation, and by the prediction
+    variance_after: np.ndarray
+
+    @property
+    def gain(self) -> float:
+        """Return how much more likely the prediction is than navigation, nats."""
+        likelihoods = (
+            np.linalg.slogdet(variance)[1] + r @ np.linalg.solve(variance, r)
+            for r, variance in ((self.before, self.variance_before), (self.after, self.variance_after))
+        )
+        before, after = likelihoods
+        return float(before - after) / 2
+
+
+def left_out(navigation: Estimate, closures: Sequence[Closure]) -> list[LeftOut]:
+    """Return each closure left out in turn.
 
     The prediction without a closure follows from S^-1 of all, S = J C J^T + I: with S^-1's block P of the closure its
-    residual there is P^-1 (S^-1 r).
+    residual there is P^-1 (S^-1 r), of variance P^-1.
     """
     if not closures:
-        return [], []
+        return []
     J, r = linearised(closures, navigation.poses)
-    inverse = np.linalg.inv(J @ np.asarray((J @ navigation.covariance).T) + np.eye(len(r)))
+    S = J @ np.asarray((J @ navigation.covariance).T) + np.eye(len(r))
+    inverse = np.linalg.inv(S)
     pull, ends = inverse @ r, np.cumsum([closure.rank for closure in closures]).tolist()
     rows = [slice(end - closure.rank, end) for end, closure in zip(ends, closures, strict=True)]
-    return [r[own] for own in rows], [np.linalg.solve(inverse[own, own], pull[own]) for own in rows]
+    variances = [np.linalg.inv(inverse[own, own]) for own in rows]
+    return [LeftOut(r[own], P @ pull[own], S[own, own], P) for own, P in zip(rows, variances, strict=True)]
 
 
 def information(closures: Sequence[Closure]) -> np.ndarray:
@@ -60,23 +83,31 @@ def judge(evidence: Evidence, settings: Settings) -> Verdict:
     follow each other share targets: they count together.
     """
     closures = evidence.closures
-    before, after = (np.array([float(r @ r) for r in rows]) for rows in left_out(evidence.navigation, closures))
+    each = left_out(evidence.navigation, closures)
+    before, after = (np.array([float(r @ r) for r in rows]) for rows in _columns(each))
     weight = float(information(closures).sum()) or np.nan
     left = float(np.sqrt(before.sum() / weight)), float(np.sqrt(after.sum() / weight))
-    p = _by_chance(before, after, np.array([closure.tie.source for closure in closures]))
+    p = _by_chance(np.array([one.gain for one in each]), np.array([closure.tie.source for closure in closures]))
     sigmas = float(np.sqrt(before.sum() / max(sum(closure.rank for closure in closures), 1)))
     applied, why = _decided(evidence, left, p, sigmas, settings)
     numbers = (evidence.found, len(closures), *left, p, *evidence.disagreement_m, evidence.variance_factor)
     return Verdict(applied, why, *numbers, evidence.drift)
 
 
-def _by_chance(before: np.ndarray, after: np.ndarray, source: np.ndarray) -> float:
-    """Return the p-value that leaving out does not gain, by a t test over groups of sources; NaN of fewer than two."""
-    # by logarithms, so that one gross closure does not decide; 1 is the variance of a closure's own error
-    gain = pd.Series(np.log1p(before) - np.log1p(after)).groupby(source // _TOGETHER).mean()
-    if len(gain) < 2 or gain.std() == 0:
+def _columns(each: Sequence[LeftOut]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    return [one.before for one in each], [one.after for one in each]
+
+
+def _by_chance(gain: np.ndarray, source: np.ndarray) -> float:
+    """Return the p-value that leaving out does not gain, by a t test over groups of sources; NaN of fewer than two.
+
+    The gain is in nats, because a prediction far from other closures is not sure, and is not wrong where it is off.
+    """
+    # one gross closure must not decide
+    of_group = pd.Series(np.clip(gain, -_MOST_NATS, _MOST_NATS)).groupby(source // _TOGETHER).mean()
+    if len(of_group) < 2 or of_group.std() == 0:
         return float("nan")
-    return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
+    return float(stats.ttest_1samp(of_group, 0.0, alternative="greater").pvalue)
 
 
 def _decided(
