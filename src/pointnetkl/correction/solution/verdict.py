@@ -84,17 +84,17 @@ def judge(evidence: Evidence, settings: Settings) -> Verdict:
     """
     closures = evidence.closures
     each = left_out(evidence.navigation, closures)
-    before, after = (np.array([float(r @ r) for r in rows]) for rows in _columns(each))
+    before, after = (sum(float(r @ r) for r in rows) for rows in _before_and_after(each))
     weight = float(information(closures).sum()) or np.nan
-    left = float(np.sqrt(before.sum() / weight)), float(np.sqrt(after.sum() / weight))
+    left = float(np.sqrt(before / weight)), float(np.sqrt(after / weight))
     p = _by_chance(np.array([one.gain for one in each]), np.array([closure.tie.source for closure in closures]))
-    sigmas = float(np.sqrt(before.sum() / max(sum(closure.rank for closure in closures), 1)))
+    sigmas = float(np.sqrt(before / max(sum(closure.rank for closure in closures), 1)))
     applied, why = _decided(evidence, left, p, sigmas, settings)
     numbers = (evidence.found, len(closures), *left, p, *evidence.disagreement_m, evidence.variance_factor)
     return Verdict(applied, why, *numbers, evidence.drift)
 
 
-def _columns(each: Sequence[LeftOut]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _before_and_after(each: Sequence[LeftOut]) -> tuple[list[np.ndarray], list[np.ndarray]]:
     return [one.before for one in each], [one.after for one in each]
 
 
