@@ -67,7 +67,7 @@ def test_dvc_s_files_stay_short_because_dvc_reads_and_writes_them_after_every_st
     # a study of more surveys has as many lines a stage as the demo
     text = (ROOT / "dvc.lock").read_text()
     stages = yaml.load(text, Loader=yaml.CSafeLoader)["stages"]
-    assert len(text.splitlines()) < 75 * len(stages)
+    assert len(text.splitlines()) < 80 * len(stages)
 
 
 @pytest.mark.parametrize("stage", SCRIPTS)

@@ -33,8 +33,8 @@ recorded and the corrected track are.
 _EPILOG = f"""\
 In FOLDER there will be:
   raw/        a Kongsberg .all file for each line, which other programs read as well
-  truth.csv   the true track: x_m, y_m (easting and northing in {_CRS}), z_m (up) and yaw_rad (counter-clockwise from
-              east) at the time of each ping, UTC seconds since 1970
+  truth.csv   the true track: x_m, y_m (easting and northing in {_CRS}), z_m (up) and yaw_rad (counter-clockwise
+              from east) at the time of each ping, UTC seconds since 1970
   corrected/  what `correct` makes of raw/; begin with corrected/report.html
 
 examples:

@@ -112,8 +112,8 @@ class Tiles:
     def _grow(self) -> None:
         if len(self._numbers) > MOST:
             raise CorrectionError(
-                f"a map with cells of {self.cell_m:g} m takes more than {MOST} tiles of {SIDE} x {SIDE} cells; give"
-                " larger cells"
+                f"a map with cells of {self.cell_m:g} m takes more than {MOST} tiles of {SIDE} x {SIDE} cells;"
+                " give larger cells"
             )
         while len(self._count) * _BLOCK < len(self._numbers):
             self._count.append(np.zeros(_BLOCK * _CELLS, np.uint32))

@@ -119,11 +119,17 @@ def _believed(problem: Problem, rates: drift.Settings) -> Estimate:
 
 
 def _times(rates: drift.Settings, scale: float) -> drift.Settings:
-    """Return rates times a scale, or as they are where that leaves what rates can be."""
+    """Return rates times a scale, or as they are where that leaves what rates can be.
+
+    A smaller scale is not for what is constant over a survey: closures hardly see it, and cannot make it surer.
+    """
     try:
-        return rates.times(scale)
+        scaled = rates.times(scale)
     except ValueError:
         return rates
+    if scale >= 1:
+        return scaled
+    return dataclasses.replace(scaled, scale_error=rates.scale_error, heading_bias_rad=rates.heading_bias_rad)
 
 
 def _close(problem: Problem, rates: drift.Settings) -> Closed:

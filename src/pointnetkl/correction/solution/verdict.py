@@ -105,8 +105,10 @@ def _by_chance(gain: np.ndarray, source: np.ndarray) -> float:
     """
     # one gross closure must not decide
     of_group = pd.Series(np.clip(gain, -_MOST_NATS, _MOST_NATS)).groupby(source // _TOGETHER).mean()
-    if len(of_group) < 2 or of_group.std() == 0:
+    if len(of_group) < 2:
         return float("nan")
+    if of_group.std() == 0:  # as large as counts in all of them, or nothing in any
+        return float(of_group.mean() <= 0)
     return float(stats.ttest_1samp(of_group, 0.0, alternative="greater").pvalue)
 
 
