@@ -111,10 +111,10 @@ def test_the_printed_errors_are_those_against_the_truth(
 def test_the_demo_corrects_what_it_wrote_and_says_what_it_did(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
-    given: list[tuple[Path, Path, str]] = []
+    given: list[tuple[Path, Path]] = []
 
-    def correct(raw: Path, out: Path, drift: str) -> Corrected:
-        given.append((raw, out, drift))
+    def correct(raw: Path, out: Path) -> Corrected:
+        given.append((raw, out))
         ingested = readers.read(raw, readers.Settings("auto"), lambda _: None)
         return corrected(ingested, pd.read_csv(raw.parent / "truth.csv"), 1.0)
 
@@ -122,7 +122,7 @@ def test_the_demo_corrects_what_it_wrote_and_says_what_it_did(
     arguments = parsed("--out", str(tmp_path / "new" / "demo"), "--seed", "3")
     assert arguments.run(arguments) == 0
     folder = tmp_path / "new" / "demo"
-    assert given == [(folder / "raw", folder / "corrected", "gyrocompass")]
+    assert given == [(folder / "raw", folder / "corrected")]
     printed = capsys.readouterr().out
     for words in (str(folder / "raw"), "9 lines", str(folder / "truth.csv"), SENTENCE, "true error", "report.html"):
         assert words in printed

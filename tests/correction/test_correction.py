@@ -563,3 +563,13 @@ def test_the_key_is_json_and_hides_nothing_that_matters(drifted: Raw):
         )
     ]
     assert len(set(keys)) == len(keys)
+
+
+def test_a_folder_that_is_no_result_is_not_replaced(tmp_path: Path):
+    raw = raw_survey.write(tmp_path / "raw", Plan())
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "thesis.txt").write_text("all of it")
+    with pytest.raises(CorrectionError, match="is no result of an earlier correction"):
+        correction.correct(Inputs([raw.folder]), out, Settings(), replace=True)
+    assert (out / "thesis.txt").read_text() == "all of it"

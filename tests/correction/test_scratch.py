@@ -14,6 +14,13 @@ from pointnetkl.correction.scratch import Scratch
 KEY = {"version": "1", "settings": {"cell_m": 0.5}, "files": [("a", 1, 2)]}
 
 
+def a_folder(path: Path) -> Path:
+    """Return a folder with a file in it."""
+    path.mkdir()
+    a_file(path)
+    return path
+
+
 def a_file(folder: Path) -> None:
     (folder / "a").write_text("made")
 
@@ -52,7 +59,25 @@ def test_a_damaged_key_begins_anew(tmp_path: Path, content: bytes):
     before = Scratch(tmp_path / "out", KEY)
     before.step("cut", a_file)
     (before.folder / "key.json").write_bytes(content)
+    del before  # which unlocks
     assert not (Scratch(tmp_path / "out", KEY).folder / "cut").exists()
+
+
+def test_two_runs_at_once_into_one_folder_are_refused(tmp_path: Path):
+    first = Scratch(tmp_path / "out", KEY)
+    with pytest.raises(CorrectionError, match="another run works in it"):
+        Scratch(tmp_path / "out", KEY)
+    del first
+    Scratch(tmp_path / "out", KEY)
+
+
+def test_a_result_that_was_about_to_be_replaced_is_put_back(tmp_path: Path):
+    out = a_folder(tmp_path / "out")
+    first = Scratch(out, KEY)
+    os.replace(out, first.folder / "replaced")  # as a run that is killed now leaves it
+    del first
+    Scratch(out, {"other": 1})
+    assert (out / "a").is_file()
 
 
 def test_the_order_of_a_key_does_not_matter(tmp_path: Path):
@@ -91,6 +116,7 @@ def test_a_full_disk_is_one_sentence_and_what_is_finished_is_kept(tmp_path: Path
         kept.step("products", full)
     assert "\n" not in str(ended.value)
     assert not (tmp_path / "out").exists()
+    del ended, kept
     Scratch(tmp_path / "out", KEY).step("cut", never)
 
 

@@ -100,7 +100,8 @@ def summary(corrected: "Corrected", out: Path) -> str:
     verdict = corrected.verdict
     lines = ["", verdict.sentence]
     if verdict.drift:
-        lines.append(f"drift of navigation: {verdict.drift}")
+        measured = "drift of navigation" if verdict.accepted else "assumed drift of navigation"
+        lines.append(f"{measured}: {verdict.drift}")
     if verdict.applied:
         lines.append(f"the track moved by {corrected.rms_moved_m:.3g} m (rms)")
     return "\n".join([*lines, f"report: {out / 'report.html'}"])

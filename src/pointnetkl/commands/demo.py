@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pointnetkl.simulation import seabed, vehicle
 
 _CRS, _CENTRE = "EPSG:32632", (647_000.0, 6_453_000.0)  # in the Skagerrak; nothing of the ground there is real
-_DRIFT = "gyrocompass"  # the preset that the correction is told; the vehicle is of that grade
 _SEED, _LARGEST_SEED = 1, 999_999_999
 _DESCRIPTION = """\
 Make a small survey whose navigation drifts, as raw files, and correct it. It needs no data and no set-up, and takes
@@ -69,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     out, begin = arguments.out, time.monotonic()
     _require_empty(out)
     truth = write(out, arguments.seed)
-    corrected = _correct(out / "raw", out / "corrected", _DRIFT)
+    corrected = _correct(out / "raw", out / "corrected")
     print(corrected.verdict.sentence)
     print(_errors(corrected, truth))
     print(f"report: {out / 'corrected' / 'report.html'} (after {time.monotonic() - begin:.0f} s in all)")
@@ -97,11 +96,11 @@ def write(out: Path, seed: int) -> "pd.DataFrame":
     return truth
 
 
-def _correct(raw: Path, out: Path, drift: str) -> "Corrected":
-    """Correct raw files into a folder, with the rates of a preset of drift."""
+def _correct(raw: Path, out: Path) -> "Corrected":
+    """Correct raw files into a folder, as the command `correct` does where nothing is set."""
     from pointnetkl import correction
 
-    return correction.correct(correction.Inputs([raw]), out, correction.Settings(drift=drift))
+    return correction.correct(correction.Inputs([raw]), out, correction.Settings())
 
 
 def _sail(seed: int) -> "list[simulation.Line]":

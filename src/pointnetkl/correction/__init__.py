@@ -39,13 +39,23 @@ def correct(source: Inputs, out: Path, settings: Settings, replace: bool = False
     """
     inputs.check(source, out)
     solving.check(source, settings)
-    if out.exists() and not replace and (not out.is_dir() or any(out.iterdir())):
-        raise CorrectionError(f"{out}: is there already; give --replace to have it replaced, or another folder")
+    _require_room(out, replace)
     scratch = Scratch(out, source.key(settings))
     try:
         return _corrected(scratch, source, out, settings)
     finally:
         scratch.leave()
+
+
+def _require_room(out: Path, replace: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not replace:
+        raise CorrectionError(f"{out}: is there already; give --replace to have it replaced, or another folder")
+    if not out.is_dir() or not all((out / name).is_file() for name in delivery.SIGNS):
+        raise CorrectionError(
+            f"{out}: is no result of an earlier correction, and is not replaced; choose another folder"
+        )
 
 
 def _corrected(scratch: Scratch, source: Inputs, out: Path, settings: Settings) -> Corrected:

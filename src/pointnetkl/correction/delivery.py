@@ -19,6 +19,8 @@ from pointnetkl.slam.graph.pose_graph import DeadReckoningNoise
 from pointnetkl.surveys import survey
 from pointnetkl.workflow import artifacts
 
+SIGNS = ("parameters.yaml", page.REPORT)  # files by which a result is known
+
 
 def write(
     folder: Path, corrected: Corrected, solution: Solution, tables: Path, source: Inputs, settings: Settings
@@ -45,7 +47,7 @@ def write(
         "left_out": left,
     }
     text = yaml.safe_dump(_plain(parameters), sort_keys=False, allow_unicode=True, width=120)
-    artifacts.write_bytes(folder / "parameters.yaml", text.encode())
+    artifacts.write_bytes(folder / SIGNS[0], text.encode())
     page.write(folder, corrected, facts(corrected, solution, metadata.get("report", {}), left, text))
 
 
@@ -59,6 +61,7 @@ def facts(
         "formats": ", ".join(report.get("formats", [])),
         "soundings": report.get("soundings"),
         "valid soundings": report.get("valid"),
+        "left out by the reader": ", ".join(f"{n} {why}" for why, n in report.get("skipped", {}).items()),
         "depths are below": "; ".join(corrected.vertical) or "a level that the files do not name",
         "map": corrected.crs,
         "problems": [*(solved.notes if solved else []), *report.get("problems", [])],

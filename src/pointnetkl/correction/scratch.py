@@ -1,8 +1,10 @@
 """The folder beside the result where a correction keeps what it has finished, so that a killed run goes on."""
 
+import fcntl
 import json
 import os
 import shutil
+import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,27 +12,50 @@ from typing import Any
 from pointnetkl.correction.result import CorrectionError
 from pointnetkl.workflow import artifacts
 
+_LOCK, _REPLACED = ".lock", "replaced"
+
 
 class Scratch:
     """Steps of a correction, each a folder that is there whole or not at all.
 
-    They are those of one input and one set of settings: the key. With another key all begins anew.
+    They are those of one input and one set of settings: the key. With another key all begins anew. The folder is held
+    by a lock as long as this object lives.
 
     Raises:
-        CorrectionError: the folder cannot be made.
+        CorrectionError: the folder cannot be made, or another run works in it.
     """
 
     def __init__(self, out: Path, key: Mapping[str, Any]) -> None:
         """Keep what an earlier run with this key has finished; remove that of others."""
-        self.folder = out.parent / f".{out.name}.partial"
+        self.folder, self._out = out.parent / f".{out.name}.partial", out
         stored, wanted = self.folder / "key.json", json.dumps(key, sort_keys=True, default=str)
         try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            lock = os.open(self.folder / _LOCK, os.O_CREAT | os.O_RDWR)
+            weakref.finalize(self, os.close, lock)  # which unlocks
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._restore()
             if not stored.is_file() or stored.read_bytes() != wanted.encode():
-                shutil.rmtree(self.folder, ignore_errors=True)
-                self.folder.mkdir(parents=True, exist_ok=True)
+                self._clear()
                 artifacts.write_bytes(stored, wanted.encode())
+        except BlockingIOError as error:
+            raise CorrectionError(
+                f"{self.folder}: another run works in it; wait for it, or choose another OUT"
+            ) from error
         except OSError as error:
             raise _failed(self.folder, error) from error
+
+    def _restore(self) -> None:
+        """Put back a result that a run was about to replace when it was killed."""
+        if (self.folder / _REPLACED).is_dir() and not self._out.exists():
+            os.replace(self.folder / _REPLACED, self._out)
+
+    def _clear(self) -> None:
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != _LOCK:
+                path.unlink()
 
     def step(self, name: str, make: Callable[[Path], None]) -> Path:
         """Return the folder of a step, which `make` fills where it is not there.
@@ -64,12 +89,12 @@ class Scratch:
         Raises:
             CorrectionError: it cannot be moved.
         """
-        old = self.folder / "replaced"
         try:
             if out.exists():
-                os.replace(out, old)
+                os.replace(out, self.folder / _REPLACED)
             os.replace(self.folder / name, out)
         except OSError as error:
+            self._restore()
             raise _failed(out, error) from error
         shutil.rmtree(self.folder, ignore_errors=True)
 

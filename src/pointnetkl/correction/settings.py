@@ -20,6 +20,7 @@ DEAD_RECKONING = "dead-reckoning"
 NAVIGATION = {DEAD_RECKONING: "gyrocompass", "gnss": "gnss", "usbl": "usbl"}
 
 _LEAST_SHARE = 1e-3  # of a submap, that an overlap can be told by
+_MOST_SHARE = 0.3  # of a submap of few points, that is asked for
 _PAIR = re.compile(r"\s*(\w+)\s*=\s*([-+.\w]+)\s*")
 
 
@@ -69,8 +70,8 @@ class Settings:
 
         A share of a submap stands for the area of overlap: what the ground there holds is for the registration to say.
         """
-        share = float(np.clip(self.overlap_points / points, _LEAST_SHARE, 0.6))
-        each = float(np.clip(self.target_points / points, _LEAST_SHARE, share))
+        share = float(np.clip(self.overlap_points / points, _LEAST_SHARE, _MOST_SHARE))
+        each = float(np.clip(self.target_points / points, _LEAST_SHARE, max(share / 3, _LEAST_SHARE)))
         variance = max(self.closing.search.search_variance_m2, spacing_m**2)
         searching = dataclasses.replace(
             self.closing.search, coverage=share, target_coverage=each, search_variance_m2=variance

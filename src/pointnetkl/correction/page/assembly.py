@@ -154,7 +154,7 @@ def _maps(corrected: Corrected, shown: Mapping[str, Raster | None], scale: float
         drawn["deeper"] = _bar(
             colormaps[maps.DIFFERENCE](np.linspace(0, 1, 13))[:, :3], (-reach, reach), "Deeper after by (m)"
         )
-    level = f", below {', '.join(corrected.vertical)}" if corrected.vertical else ""
+    level = f" ({', '.join(corrected.vertical)})" if corrected.vertical else ""
     drawn["depths"] = _bar(maps.pale(np.linspace(0, 1, 13)), look.depths, f"Depth (m){level}")
     return drawn
 

@@ -15,6 +15,7 @@ from pointnetkl.surveys import survey
 from pointnetkl.workflow import artifacts
 from pointnetkl.workflow.table_writer import TableWriter
 
+_GRIDS = (".tif", ".tiff", ".bag")
 _TABLES = ("pings.parquet", "soundings.parquet")
 
 
@@ -88,6 +89,8 @@ def ingest(inputs: Inputs, name: str, settings: Settings, folder: Path) -> None:
     """
     with TableWriter(folder / _TABLES[1], survey.SOUNDINGS) as soundings:
         sources = [path for path in inputs.sources if path.is_dir() or not smrmsg.is_accuracy(path)]
+        if grids := [path for path in sources if path.suffix.lower() in _GRIDS]:
+            raise CorrectionError(f"{grids[0]}: is a grid and no survey; give it as --reference, beside raw files")
         raw = readers.read(sources, settings.reading, soundings.write, folder)
         if not raw.report["valid"]:
             raise CorrectionError(f"{name}: none of its {raw.report['soundings']} soundings is good; check their flags")

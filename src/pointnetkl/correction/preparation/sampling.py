@@ -28,8 +28,8 @@ def choose(pings: pd.DataFrame, soundings: Iterable[pd.DataFrame], longest_m: fl
     """Return a sampling for pings (survey.PINGS) and a sample of their soundings (survey.SOUNDINGS).
 
     A submap is about as long as the swath is wide, with a point in each square of a spacing that the sonar fills: not
-    below the steps from ping to ping and from beam to beam, and such that a submap has some 4,000 points. `longest_m`
-    is the longest line's length.
+    below the steps from ping to ping and from beam to beam, and such that a submap has some 4,000 points. Where lines
+    are short it is a fifth of the longest, which is `longest_m` long.
     """
     step = _step(pings)
     widths, beams = _swaths(pings.set_index("ping")["time_s"], soundings)
@@ -38,10 +38,11 @@ def choose(pings: pd.DataFrame, soundings: Iterable[pd.DataFrame], longest_m: fl
     finest = 1.2 * max(step, across)
     spacing = max(finest, math.sqrt(width * width / _POINTS))
     length = max(width, _FEWEST * spacing**2 / width)
-    length = _round(min(length, max(_OF_LINE * longest_m, 10 * spacing)))
-    spacing = _round(spacing)
+    most = max(_OF_LINE * longest_m, 10 * spacing)
+    short = f" and the longest line {longest_m:,.4g} m long" if most < length else ""
+    length, spacing = _round(min(length, most)), _round(spacing)
     reason = (
-        f"the swath is {width:.3g} m wide, pings are {step:.2g} m and beams {across:.2g} m apart:"
+        f"the swath is {width:,.4g} m wide{short}, pings are {step:.2g} m and beams {across:.2g} m apart:"
         f" submaps of {length:g} m with a point every {spacing:g} m"
     )
     return Sampling(length, spacing, max(10 * step, 2 * spacing), reason)
