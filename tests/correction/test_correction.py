@@ -441,11 +441,12 @@ def test_with_other_settings_or_files_all_begins_anew(
 def test_a_folder_that_is_there_is_refused_and_replaced_if_asked(tmp_path: Path, quick: None):
     raw = raw_survey.write(tmp_path / "raw", replace(PLAN, lines=2))
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine").write_text("")
+    for name in ("parameters.yaml", "report.html"):
+        (tmp_path / "out" / name).write_text("")
     with pytest.raises(CorrectionError, match=r"out: is there already; give --replace"):
         correction.correct(Inputs([raw.folder]), tmp_path / "out", Settings())
     assert sorted(os.listdir(tmp_path)) == ["out", "raw"]
-    assert os.listdir(tmp_path / "out") == ["mine"]
+    assert sorted(os.listdir(tmp_path / "out")) == ["parameters.yaml", "report.html"]
     correction.correct(Inputs([raw.folder]), tmp_path / "out", Settings(), replace=True)
     assert os.listdir(tmp_path / "out") == ["parameters.yaml"]
     assert sorted(os.listdir(tmp_path)) == ["out", "raw"]

@@ -32,7 +32,7 @@ class Scratch:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = os.open(self.folder / _LOCK, os.O_CREAT | os.O_RDWR)
-            weakref.finalize(self, os.close, lock)  # which unlocks
+            self._unlock = weakref.finalize(self, os.close, lock)
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._restore()
             if not stored.is_file() or stored.read_bytes() != wanted.encode():
@@ -77,11 +77,12 @@ class Scratch:
         return done
 
     def leave(self) -> None:
-        """Remove the folder where no step is finished: there is nothing to go on with."""
+        """Let go of the folder; remove it where no step is finished: there is nothing to go on with."""
         if self.folder.is_dir() and not any(
             path.is_dir() and not path.name.startswith(".") for path in self.folder.iterdir()
         ):
             shutil.rmtree(self.folder, ignore_errors=True)
+        self._unlock()
 
     def deliver(self, name: str, out: Path) -> None:
         """Move a step's folder to where the result belongs, in place of an earlier result, and remove the rest.
