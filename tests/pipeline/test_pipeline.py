@@ -60,7 +60,7 @@ def test_a_survey_of_the_user_s_runs_only_its_own_stages_and_the_report(study: W
     ran = study.run("dvc", "repro").stdout
     own = (
         *("ingest", "segment", "voxelise", "label", "vary", "estimate", "predict", "graph"),
-        *("slam", "calibrate", "close", "stress"),
+        *("slam", "calibrate", "close", "correct", "stress"),
     )
     assert sorted(study.ran(ran)) == sorted([*(f"{stage}@mine" for stage in own), "report"])
     metrics = json.loads((study.folder / "reports/metrics.json").read_text())

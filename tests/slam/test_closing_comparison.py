@@ -204,7 +204,7 @@ def test_rates_go_by_the_name_that_a_survey_gives():
     stated = {"simulated": closable.DRIFT}
     assert drift.named("simulated", stated) is closable.DRIFT
     assert drift.named("compass", stated) is drift.PRESETS["compass"]
-    with pytest.raises(drift.DriftError, match=r"mine is 'gps', must be one of .* gnss, simulated; or"):
+    with pytest.raises(drift.DriftError, match=r"mine is 'gps', must be one of .* gnss, usbl, simulated; or"):
         drift.named("gps", stated, "mine")
 
 

@@ -84,7 +84,8 @@ def judge(evidence: Evidence, settings: Settings) -> Verdict:
     """
     closures = evidence.closures
     each = left_out(evidence.navigation, closures)
-    before, after = (sum(float(r @ r) for r in rows) for rows in _before_and_after(each))
+    before = sum(float(one.before @ one.before) for one in each)
+    after = sum(float(one.after @ one.after) for one in each)
     weight = float(information(closures).sum()) or np.nan
     left = float(np.sqrt(before / weight)), float(np.sqrt(after / weight))
     p = _by_chance(np.array([one.gain for one in each]), np.array([closure.tie.source for closure in closures]))
@@ -92,10 +93,6 @@ def judge(evidence: Evidence, settings: Settings) -> Verdict:
     applied, why = _decided(evidence, left, p, sigmas, settings)
     numbers = (evidence.found, len(closures), *left, p, *evidence.disagreement_m, evidence.variance_factor)
     return Verdict(applied, why, *numbers, evidence.drift)
-
-
-def _before_and_after(each: Sequence[LeftOut]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    return [one.before for one in each], [one.after for one in each]
 
 
 def _by_chance(gain: np.ndarray, source: np.ndarray) -> float:
